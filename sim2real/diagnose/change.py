@@ -20,6 +20,7 @@ from sim2real.diagnose.effect_probabilities import Group
 from sim2real.diagnose.explained import Explained, explained
 from sim2real.diagnose.link_effect import IrregularTiming, LinkData, link_of
 from sim2real.diagnose.result import Estimate
+from sim2real.diagnose.screening import FITTED
 from sim2real.diagnose.unmodelled import Windows
 from sim2real.effects import SET_ANEW
 from sim2real.identification.servo_problem import Set
@@ -87,8 +88,9 @@ def what_changed(
     by.doubt(max(fits, key=lambda fit: fit.gain - fit.occam))
     fits = [by.fitted(fit.names, [fit.row, of.row]) for fit in fits]
     change = _single(by, fits, looks)
-    wrong = DECISION.change.law_error**2 * by.start
-    if of.way == "repeat" and change.left > max(DECISION.change.misfit_ratio, wrong):
+    wrong = DECISION.change.law_error**2 * by.start_bare
+    least = min(fit.bare for fit in fits)
+    if of.way == "repeat" and least > max(DECISION.change.misfit_ratio, wrong):
         change = _pair(by, fits) or change
     return _with_nameless(by, change, step_rad)
 
@@ -101,6 +103,8 @@ def _single(by: Comparison, fits: Sequence[Fitted], looks: Mapping[str, object])
     sure = float(expit(student(best.gain * shrink / null, known) + LOG_PRIOR))
     behind = np.array([best.gain - best.occam - fit.gain + fit.occam for fit in fits]) * shrink
     share = np.exp(-behind / (1 + DECISION.change.law_error**2 * 2 * best.gain * shrink))
+    # As likely of all parameters together as of all effects.
+    share *= [len(FITTED) / len(SET_ANEW) if fit.names[0] in SET_ANEW else 1.0 for fit in fits]
     share *= sure / share.sum()
     probability = {fit.names[0]: float(p) for fit, p in zip(fits, share, strict=True)}
     group = _group(probability)
@@ -151,13 +155,13 @@ def _pair(by: Comparison, fits: Sequence[Fitted]) -> Change | None:
     def best() -> Fitted:
         return max(found.values(), key=lambda fit: fit.gain - fit.occam)
 
-    for fit in sorted(fits, key=lambda fit: fit.left)[:_HEADS]:
+    for fit in sorted(fits, key=lambda fit: fit.bare)[:_HEADS]:
         extend(fit.names[0], _MOST // 2)
     for name in best().names:  # its rivals, together with the other one
         extend(name, _MOST // 2)
     two = best()
-    least = min(fit.left for fit in fits)
-    if _unexplained(by, two.left) or DECISION.change.misfit_ratio * two.left > least:
+    least = min(fit.bare for fit in fits)
+    if _unexplained(by, two.left) or DECISION.change.misfit_ratio * two.bare > least:
         return None
     probability: dict[str, float] = {}
     groups = []
@@ -179,8 +183,8 @@ def _pair(by: Comparison, fits: Sequence[Fitted]) -> Change | None:
 
 def _unexplained(by: Comparison, left: float) -> bool:
     """Whether most of what a case has beyond its references is left, mean squares in theirs."""
-    beyond, every = left - 1, max(by.start - 1, 0.0)
-    return beyond > max((1 - DECISION.change.explained_share) * every, 1.0)
+    numbers = DECISION.change
+    return left > max((1 - numbers.explained_share) * by.start, numbers.misfit_ratio)
 
 
 def _with_nameless(by: Comparison, change: Change, step_rad: float) -> Change:

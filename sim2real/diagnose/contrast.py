@@ -63,18 +63,16 @@ class Changes(Compared):
         lost: Share of the residual that does not count along each, shape (K,).
     """
 
-    weight: Array | None = None
-    times: Array | None = None
-    usual: Array | None = None
+    weight: Array | float = 1.0
+    times: Array | float = 1.0
+    usual: Array | float = 1.0
     count: float = 0.0
     trust: float = 1.0
     along: Array | None = None
     lost: Array | None = None
 
     def _errors(self, rows: Array, substeps: Array) -> Array:
-        errors = super()._errors(rows, substeps)
-        if self.weight is not None:
-            errors = errors * self.weight
+        errors = super()._errors(rows, substeps) * self.weight
         if self.along is None or self.lost is None:
             return errors
         return np.asarray(errors - (errors @ self.along * self.lost) @ self.along.T)
@@ -99,8 +97,8 @@ class Changes(Compared):
         place = np.repeat(np.arange(len(self.traces)), [int(t.used.sum()) for t in self.traces])
         late = moved[:, -1:] * (place[:, None] == np.arange(len(self.traces)))
         parts = [moved[:, :-1], late]
-        if more is not None and self.weight is not None:
-            parts.append(more * self.weight[:, None])
+        if more is not None:
+            parts.append(more * np.reshape(self.weight, (-1, 1)))
         along, size, _ = np.linalg.svd(np.hstack(parts), full_matrices=False)
         return replace(self, along=along, lost=1 - 1 / np.sqrt(1 + size**2))
 
@@ -112,7 +110,7 @@ class Changes(Compared):
     @cached_property
     def speed(self) -> Array:
         """Of the references' servo at the used samples, rad/s, shape (n,)."""
-        bare = replace(self, weight=None, along=None)
+        bare = replace(self, weight=1.0, along=None)
         parts = zip(bare.by_trace(bare.error), self.traces, strict=True)
         return np.concatenate([np.gradient(e + t.position[t.used], t.t[t.used]) for e, t in parts])
 
@@ -121,7 +119,7 @@ class Changes(Compared):
 
         A law is wrong by a share of what it explains, here of the error round about.
         """
-        bare = replace(self, weight=None, along=None)
+        bare = replace(self, weight=1.0, along=None)
         sizes, law = [], []
         for error, trace in zip(bare.by_trace(bare.error), self.traces, strict=True):
             samples = max(round(LAW_ERROR_S / trace.period_s), 1)
@@ -137,7 +135,6 @@ class Changes(Compared):
 
         The first is of as many samples as there are.
         """
-        assert self.weight is not None and self.usual is not None and self.times is not None
         bare = error / self.weight / np.sqrt(self.usual)
         all_in = error * np.sqrt(self.times / self.trust)
         return robust_scale(bare) ** 2, robust_scale(all_in) ** 2
@@ -165,7 +162,8 @@ class Fitted:
     row: Array  # the case's servo, shape (P,)
     gain: float  # of log-likelihood, prior included, in the references' noise
     occam: float  # cost of its parameters in log-evidence
-    left: float  # mean square that it leaves, robust, in that of the noise
+    left: float  # mean square that it leaves, robust, in that of the noise and the law's error
+    bare: float  # the same in that of the noise alone
     trust: float  # share of a gain that counts, as what no change explains is left
     sizes: dict[str, dict[str, Estimate]]  # its parameters by change and name
 
@@ -186,8 +184,7 @@ class Comparison:
             speed = np.concatenate([every[r].speed for r in known])
             noise = noise_of(np.concatenate([error[r] for r in known]), speed, of.least_sd)
             for r in known:
-                one = every[r].weighted(noise, [times[r]])
-                one = one.differing()
+                one = every[r].weighted(noise, [times[r]]).differing()
                 times[r], error[r] = one.inflation(one.error), one.error / one.weight
         usual = float(np.mean(list(times.values()))) if known else 1.0
         inflation = [
@@ -203,12 +200,11 @@ class Comparison:
         case = Changes(of.traces[R:], of.row, ()).weighted(noise, inflation[R:])
         self.law_sd = self._law_sd() if of.way == "law" else None
         self.case = case.differing(self.law_sd)
-        self.start, _ = self.case.left(self.case.error)
+        self.start_bare, self.start = self.case.left(self.case.error)
 
     def doubt(self, best: Fitted) -> None:
         """Let the case count less, by what the best explanation leaves of it."""
         case, trust = self.case, best.trust
-        assert case.weight is not None
         case = replace(case, weight=case.weight * trust**0.5, trust=case.trust * trust)
         self.case = case.differing(self.law_sd)
 
@@ -308,9 +304,9 @@ class Comparison:
         x, loss, _, _ = search(problem, problem.searched(np.array(starts)), (1.0, 1.0), 40)
         (error,), (slopes,) = problem.slopes(x[:1], rough=False)
         _, (prior,) = problem.prior_slopes(x[:1])
-        known, (left, all_in) = prior.T @ prior, problem.left(error)
+        known, (bare, left) = prior.T @ prior, problem.left(error)
         weight = 1 / np.sqrt(1 + (error / OUTLIER_SD) ** 2)
-        trust = 1 / (max(all_in, 1.0) * max(problem.inflation(error) / self.usual, 1.0))
+        trust = 1 / (max(left, 1.0) * max(problem.inflation(error) / self.usual, 1.0))
         trust = min(trust / problem.trust, 1.0)
         precision = known + (slopes * weight[:, None]).T @ slopes * trust
         occam = 0.5 * (np.linalg.slogdet(precision)[1] - np.linalg.slogdet(known)[1])
@@ -323,6 +319,7 @@ class Comparison:
             0.5 * float(before[0] - loss[0]),
             float(occam),
             left,
+            bare,
             trust,
             {name: self._sizes(name, problem.names, ends) for name in names},
         )

@@ -210,7 +210,7 @@ def _least_squares(joint: JointCase, servo: Hypothesis) -> Array:
     A fit with a free noise model takes what is missing for noise, and predicts worse.
     """
     if joint.references:  # as fitted to these, and to the case what has changed since
-        return servo.fit.servos.theta[0]
+        return np.asarray(servo.fit.servos.theta[0])
     effects = [named(effect) for effect in sorted(servo.members)]
     theta = servo.fit.servos.theta[0]
     return refitted(joint.traces, theta, [e for e in effects if e.fitted and not e.everywhere]).row

@@ -69,7 +69,8 @@ class Explained:
     @cached_property
     def residual(self) -> Array:
         """Measured minus explained angles of all recordings in turn, rad, shape (n,)."""
-        return -Compared(self.traces, self.row, ()).row_residuals(self.row[None])[0]
+        errors = Compared(self.traces, self.row, ()).row_residuals(self.row[None])
+        return np.asarray(-errors[0])
 
     @cached_property
     def recording(self) -> Index:
