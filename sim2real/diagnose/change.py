@@ -281,6 +281,8 @@ def _lasting(of: Explained, windows: Windows) -> bool:
 def _irregular_timing(of: Explained, *, lags: int = 2, least_gain: float = 1.0) -> Change | None:
     """Jitter of the link that no repeat has, or None."""
     period, links = of.traces[0].period_s, []
+    if not all(trace.used.any() for trace in of.traces):  # of commands that no other has
+        return None
     for r, trace in enumerate(of.traces):
         error = np.zeros(trace.t.size)
         error[trace.used] = -of.residual[of.recording == r]

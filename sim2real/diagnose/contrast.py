@@ -114,7 +114,12 @@ class Changes(Compared):
         parts = zip(bare.by_trace(bare.error), self.traces, strict=True)
         return np.concatenate([np.gradient(e + t.position[t.used], t.t[t.used]) for e, t in parts])
 
-    def weighted(self, noise: Array, inflation: Sequence[float]) -> Changes:
+    def weighted(
+        self,
+        noise: Array,
+        inflation: Sequence[float],
+        law_error: float = DECISION.change.law_error,
+    ) -> Changes:
         """The same in this ``noise`` (``noise_of``), with an inflation of each recording.
 
         A law is wrong by a share of what it explains, here of the error round about.
@@ -126,7 +131,7 @@ class Changes(Compared):
             sizes.append(error.size)
             law.append(samples * uniform_filter1d(error**2, samples))
         usual, times = noise[0] + noise[1] * self.speed**2, np.repeat(inflation, sizes)
-        variance = usual * times + DECISION.change.law_error**2 * np.concatenate(law)
+        variance = usual * times + law_error**2 * np.concatenate(law)
         count = float(np.sum(usual / variance))
         return replace(self, weight=1 / np.sqrt(variance), times=times, usual=usual, count=count)
 

@@ -8,9 +8,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import expit
 
+from sim2real.arrays import Array
 from sim2real.diagnose.baseline import BLOCKS, with_effects
 from sim2real.diagnose.case import Case, JointCase, prepared
 from sim2real.diagnose.change import Change, what_changed
+from sim2real.diagnose.contrast import Changes, noise_of
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.effect_probabilities import EffectPosterior, Group
 from sim2real.diagnose.explained import way_of, without_wrong_readings
@@ -20,9 +22,9 @@ from sim2real.diagnose.servo_search import ServoSearch, plain_sets
 from sim2real.diagnose.unmodelled import unmodelled
 from sim2real.effects import named
 from sim2real.identification.first_guess import first_guess
-from sim2real.identification.motor_choice import choose_motor
+from sim2real.identification.motor_choice import EXPLAINED, choose_motor
 from sim2real.identification.plain_fit import best_of
-from sim2real.identification.priors import of_effects
+from sim2real.identification.priors import motor_prior, of_effects
 from sim2real.identification.problem import Fit
 from sim2real.identification.search import fit
 from sim2real.identification.servo_problem import (
@@ -35,11 +37,13 @@ from sim2real.identification.servo_problem import (
     minimise,
     plain_servos,
 )
+from sim2real.inference.correlated_noise import correlation_samples
+from sim2real.inference.least_squares import rms
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.progress import Progress
 from sim2real.robot import Servo
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import BASE, COLUMNS, joint_row, stated
+from sim2real.servo.parameters import BASE, COLUMNS, LOSSES, joint_row, stated
 from sim2real.servo.trace import Trace, sensor_noise, traces
 
 _SET_POINT = "rate_limit"
@@ -81,23 +85,37 @@ def law_of(
     if way_of(references, case) == "rest":
         return stated(plain.row, load)
     motor = choose_motor(references, plain, servo, sensor_noise(references), rng)
-    limited = _with_set_point_limit(motor, servo)
-    if limited is None:
+    if rms([motor.error]) < EXPLAINED * sensor_noise(references):
         return stated(motor.row, load, motor.effects, motor.law)
-    limit = FittedEffect(_SET_POINT, {"limit_rad_s": float(limited.row[_LIMIT])})
-    return stated(limited.row, load, (*limited.effects, limit), motor.law)
+    row = _with_losses(motor, servo)
+    limit = float(row[_LIMIT])
+    limits = (FittedEffect(_SET_POINT, {"limit_rad_s": limit}),) if limit else ()
+    return stated(row, load, (*motor.effects, *limits), motor.law)
 
 
-def _with_set_point_limit(motor: Fit, servo: Servo) -> Fit | None:
-    """The motor with a limit of its set-point's speed, where the references show one."""
-    free = of_effects([named(_SET_POINT)], motor.row, motor.inertia)
-    problem = replace(motor.problem, parameters=(*motor.parameters, *free))
-    starts = np.tile(motor.row, (4, 1))
-    starts[:, _LIMIT] = servo.no_load_speed_rad_s * np.array([0.5, 0.75, 1.1, 1.5])
-    limited = fit(problem, starts, rounds=2, first=10, later=10, last=20)
-    noise = limited.scale_rad, limited.inflation
-    gain = 0.5 * (motor.loss(*noise) - limited.loss(*noise))
-    return limited if gain > DECISION.decisive_gain else None
+def _with_losses(motor: Fit, servo: Servo) -> Array:
+    """A motor with losses and a limit of its set-point's speed, as far as references show these.
+
+    Noise that grows with speed hides in one common scale what slow motions show.
+    """
+    row, traces = motor.row.copy(), motor.problem.traces
+    row[list(_LOADS)] = 0.0
+    limit = of_effects([named(_SET_POINT)], row, motor.inertia)
+    free = {p.name: p for p in (*motor_prior(servo, traces).of(LOSSES), *motor.parameters)}
+    starts = np.tile(row, (9, 1))
+    starts[1:, _LIMIT] = servo.no_load_speed_rad_s * np.tile([0.0, 0.75, 1.1, 1.5], 2)
+    starts[5:, [COLUMNS.index(name) for name in LOSSES[2:6]]] = 0.1
+    starts[:, COLUMNS.index(LOSSES[6])] = row[COLUMNS.index(LOSSES[6])] or 0.5
+    for parameters in ((*free.values(), *limit), tuple(free.values())):
+        problem = Changes(traces, row, parameters, motor.problem.ties)
+        noise = noise_of(problem.error, problem.speed, 1e-6)
+        times = [correlation_samples(x) for x in problem.by_trace(problem.error)]
+        problem = problem.weighted(noise, times, law_error=0.0)
+        better = fit(problem, starts, rounds=2, first=15, later=10, last=20)
+        before = problem.loss(problem.searched(row[None]), problem.error[None], 1.0, 1.0)[0]
+        if 0.5 * (before - better.loss(1.0)) > DECISION.decisive_gain:
+            return better.row
+    return motor.row
 
 
 def findings_of(
