@@ -17,7 +17,7 @@ from scipy.optimize import nnls
 
 from sim2real.arrays import Array
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.explained import Compared, Explained
+from sim2real.diagnose.explained import SameSteps, Explained
 from sim2real.diagnose.result import Estimate
 from sim2real.diagnose.screening import candidates
 from sim2real.effects import SET_ANEW, named
@@ -48,7 +48,7 @@ _STARTS = (0.5, 0.75, 1.33, 2.0)
 
 
 @dataclass(frozen=True)
-class Changes(Compared):
+class Changes(SameSteps):
     """Recordings, what may have changed, and what runs differ by.
 
     Residuals are in standard deviations of the noise, of as many samples as are independent.

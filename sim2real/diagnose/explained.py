@@ -26,7 +26,7 @@ from sim2real.servo.trace import Trace
 Way = Literal["repeat", "rest", "law"]
 
 
-class Compared(ServoProblem):
+class SameSteps(ServoProblem):
     """A servo to be compared with another one of other parameters.
 
     Loads of rows are in addition to those that are stated. Sub-steps change as little as possible,
@@ -69,7 +69,7 @@ class Explained:
     @cached_property
     def residual(self) -> Array:
         """Measured minus explained angles of all recordings in turn, rad, shape (n,)."""
-        errors = Compared(self.traces, self.row, ()).row_residuals(self.row[None])
+        errors = SameSteps(self.traces, self.row, ()).row_residuals(self.row[None])
         return np.asarray(-errors[0])
 
     @cached_property
@@ -150,7 +150,7 @@ def _law_errors(
     memory_s = float(np.clip(latency + 12 / max(rate, 1e-9), *limits_s))
     errors = []
     full = [replace(trace, used=np.ones(trace.t.size, dtype=bool)) for trace in traces]
-    problem = Compared(full, row, ())
+    problem = SameSteps(full, row, ())
     parts = problem.by_trace(-problem.row_residuals(row[None])[0])
     for trace, error in zip(traces, parts, strict=True):
         apart = np.diff(trace.t, prepend=trace.t[0])
