@@ -123,7 +123,7 @@ def _null_gain(by: Comparison, best: Fitted) -> tuple[float, float]:
     usual += numbers.null_law * count * by.misfit
     seen = []
     for reference in by.references:
-        looks = by.screened(reference, by.of.row)
+        looks = by.screened(reference, by.of.row, only=best.names)
         gain = max(looks.get(name, (0.0, 0))[0] for name in best.names)
         seen.append(float(gain))
     known = numbers.null_known + len(seen)

@@ -17,7 +17,7 @@ from scipy.optimize import nnls
 
 from sim2real.arrays import Array
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.explained import SameSteps, Explained
+from sim2real.diagnose.explained import Explained, SameSteps
 from sim2real.diagnose.result import Estimate
 from sim2real.diagnose.screening import candidates
 from sim2real.effects import SET_ANEW, named
@@ -282,13 +282,16 @@ class Comparison:
         return [names[k] for k in kept], np.array(rows)[kept]
 
     def screened(
-        self, problem: Changes, row: Array, present: Set = frozenset()
+        self, problem: Changes, row: Array, present: Set = frozenset(), only: Sequence[str] = ()
     ) -> dict[str, tuple[float, Array]]:
-        """By change, a bound of what it takes away along a straight line, and where it ends.
+        """By change, the gain in log-likelihood along a straight line, and the servo (P,) there.
 
-        The first is a decrease of the sum of squares, in rad2; the second is a servo (P,).
+        Of those that are not ``present``, or ``only`` of some.
         """
         names, rows = self.starts(row, present)
+        if only:
+            some = [k for k, name in enumerate(names) if name in only]
+            names, rows = [names[k] for k in some], rows[some]
         errors = problem.row_residuals(np.vstack([row[None], rows]))
         error, moved = errors[0], np.nan_to_num(errors[1:] - errors[:1])
         weight = 1 / np.sqrt(1 + (error / (OUTLIER_SD * max(robust_scale(error), 1e-9))) ** 2)

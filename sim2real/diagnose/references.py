@@ -102,9 +102,9 @@ def _with_losses(motor: Fit, servo: Servo) -> Array:
     row[list(_LOADS)] = 0.0
     limit = of_effects([named(_SET_POINT)], row, motor.inertia)
     free = {p.name: p for p in (*motor_prior(servo, traces).of(LOSSES), *motor.parameters)}
-    starts = np.tile(row, (9, 1))
-    starts[1:, _LIMIT] = servo.no_load_speed_rad_s * np.tile([0.0, 0.75, 1.1, 1.5], 2)
-    starts[5:, [COLUMNS.index(name) for name in LOSSES[2:6]]] = 0.1
+    starts = np.tile(row, (6, 1))
+    starts[:, _LIMIT] = servo.no_load_speed_rad_s * np.array([0.0, 0.75, 1.1, 0.0, 0.75, 1.1])
+    starts[3:, [COLUMNS.index(name) for name in LOSSES[2:6]]] = 0.1
     starts[:, COLUMNS.index(LOSSES[6])] = row[COLUMNS.index(LOSSES[6])] or 0.5
     for parameters in ((*free.values(), *limit), tuple(free.values())):
         problem = Changes(traces, row, parameters, motor.problem.ties)
