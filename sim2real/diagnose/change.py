@@ -32,6 +32,8 @@ from sim2real.servo.trace import Trace
 
 _MOST = 10
 """Changes, and pairs of them, that are fitted to the case."""
+_NEAR = 0.3
+"""Share of the best change's evidence from which another one stays in question."""
 _HEADS = 3
 """Single changes to which a second one is added."""
 
@@ -85,8 +87,11 @@ def what_changed(
     ranked = sorted(looks, key=lambda name: -looks[name][0])
     some = dict.fromkeys([*ranked[:_MOST], *(n for n in ranked if n in SET_ANEW)])
     fits = [by.fitted([name], [looks[name][1], of.row]) for name in some]
-    by.doubt(max(fits, key=lambda fit: fit.gain - fit.occam))
-    fits = [by.fitted(fit.names, [fit.row, of.row]) for fit in fits]
+    best = max(fits, key=lambda fit: fit.evidence)
+    by.doubt(best)
+    least = _NEAR * best.evidence if best.evidence > 0 else best.evidence
+    near = [fit for fit in fits if fit.evidence >= least]
+    fits = [by.fitted(fit.names, [fit.row, of.row]) for fit in near]
     change = _single(by, fits, looks)
     wrong = DECISION.change.law_error**2 * by.start_bare
     least = min(fit.bare for fit in fits)
@@ -97,11 +102,11 @@ def what_changed(
 
 def _single(by: Comparison, fits: Sequence[Fitted], looks: Mapping[str, object]) -> Change:
     """One change, or none, or one that has no name."""
-    best = max(fits, key=lambda fit: fit.gain - fit.occam)
+    best = max(fits, key=lambda fit: fit.evidence)
     shrink = best.trust
     known, null = _null_gain(by, best)
     sure = float(expit(student(best.gain * shrink / null, known) + LOG_PRIOR))
-    behind = np.array([best.gain - best.occam - fit.gain + fit.occam for fit in fits]) * shrink
+    behind = np.array([best.evidence - fit.evidence for fit in fits]) * shrink
     share = np.exp(-behind / (1 + DECISION.change.law_error**2 * 2 * best.gain * shrink))
     # As likely of all parameters together as of all effects.
     share *= [len(FITTED) / len(SET_ANEW) if fit.names[0] in SET_ANEW else 1.0 for fit in fits]
@@ -153,7 +158,7 @@ def _pair(by: Comparison, fits: Sequence[Fitted]) -> Change | None:
                 found[pair] = by.fitted([name, other], [looks[other][1]])
 
     def best() -> Fitted:
-        return max(found.values(), key=lambda fit: fit.gain - fit.occam)
+        return max(found.values(), key=lambda fit: fit.evidence)
 
     for fit in sorted(fits, key=lambda fit: fit.bare)[:_HEADS]:
         extend(fit.names[0], _MOST // 2)
@@ -171,7 +176,7 @@ def _pair(by: Comparison, fits: Sequence[Fitted]) -> Change | None:
         # As wrong as a law may be of what this one explains together with the other.
         more = max(two.gain - alone[other].gain if other in alone else two.gain, 0.0)
         blur = 1 + DECISION.change.law_error**2 * 2 * more * shrink
-        cost = {n: two.gain - two.occam - fit.gain + fit.occam for n, fit in rivals.items()}
+        cost = {n: two.evidence - fit.evidence for n, fit in rivals.items()}
         weight = {n: float(np.exp(-x * shrink / blur)) for n, x in cost.items()}
         total = sum(weight.values())
         mine = {n: DECISION.most_certain * w / total for n, w in weight.items()}

@@ -172,6 +172,11 @@ class Fitted:
     trust: float  # share of a gain that counts, as what no change explains is left
     sizes: dict[str, dict[str, Estimate]]  # its parameters by change and name
 
+    @property
+    def evidence(self) -> float:
+        """Logarithm of the marginal likelihood, over that of no change."""
+        return self.gain - self.occam
+
 
 class Comparison:
     """The case of a joint, its references, and every change that may explain the one."""
