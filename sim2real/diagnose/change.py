@@ -246,7 +246,7 @@ def jump_windows(of: Explained, residual: Array, step_rad: float = 0.0) -> Windo
     To the recording's end where there is but one jump, or where the residual (n,) stays far larger
     than before. None where there are none.
     """
-    usual = max(_largest_jump(of, of.residual, case=False), step_rad)
+    usual = max(_largest_jump(of, of.residual, case=False), step_rad, of.least_sd)
     if of.way == "rest":  # the residual may be nothing but a step of the sensor
         usual = max(usual, float(np.sqrt(12)) * of.least_sd)
     if usual <= 0:
