@@ -200,16 +200,19 @@ def judged_and_offered(
     """
     judgements, errors = list(findings), [dict[Set, Unseen]() for _ in joints]
     searched = [j for j, joint in enumerate(joints) if not joint.references]
-    _add_errors(errors, joints, findings, [_sets_to_score(f) for f in findings], device)
+    sets = [_sets_to_score(f) if j in searched else [] for j, f in enumerate(findings)]
+    _add_errors(errors, joints, findings, sets, device)
     together = judged_together([findings[j] for j in searched], [errors[j] for j in searched])
     for j, judgement in zip(searched, together, strict=True):
         judgements[j] = judgement
-    enriched = [_with_named(finding) for finding in judgements]
-    _add_errors(errors, joints, judgements, [[servo.members] for servo in enriched], device)
+    enriched = [_with_named(f) if j in searched else f.best for j, f in enumerate(judgements)]
+    sets = [[servo.members] if j in searched else [] for j, servo in enumerate(enriched)]
+    _add_errors(errors, joints, judgements, sets, device)
     for j in searched:
         enriched[j] = _enriched(judgements[j], enriched[j], errors[j])
     fewer = [simpler(*of_joint) for of_joint in zip(judgements, enriched, errors, strict=True)]
-    _add_errors(errors, joints, judgements, [[members] for members in fewer], device)
+    sets = [[members] if j in searched else [] for j, members in enumerate(fewer)]
+    _add_errors(errors, joints, judgements, sets, device)
     found = []
     for j, joint in enumerate(joints):
         offered = enriched[j]

@@ -1,244 +1,362 @@
-"""How much more of a case a change explains than where nothing has changed."""
+"""What each change would explain of a case, beside what two runs of one servo differ by anyway.
+
+A change is a parameter of the servo that is set anew, or an effect of the catalogue that is added.
+Each is fitted to the case with the parameters of the references' servo, in one problem. What runs
+differ by (``BETWEEN_RUNS``) is integrated over: residuals along its directions count less.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from functools import cached_property
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.optimize import nnls
 
-from sim2real.arrays import Array, Index, Mask
+from sim2real.arrays import Array
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.explained import GAINS, Explained, simulated
+from sim2real.diagnose.explained import Explained, SameSteps
+from sim2real.diagnose.result import Estimate
 from sim2real.diagnose.screening import candidates
-from sim2real.effects import named
-from sim2real.identification.priors import gains, of_effects
-from sim2real.identification.problem import ServoProblem
+from sim2real.effects import SET_ANEW, named
+from sim2real.effects.effect import is_limit
+from sim2real.identification.priors import LOG_UNIT, motor_prior, of_effects
 from sim2real.identification.search import search
-from sim2real.inference.evidence import student
-from sim2real.servo.parameters import COLUMNS
-from sim2real.servo.trace import Trace
-from sim2real.structured import read_json
+from sim2real.identification.servo_problem import Set
+from sim2real.inference.least_squares import OUTLIER_SD, robust_scale
+from sim2real.inference.normal import Z90
+from sim2real.inference.parameters import Parameter
+from sim2real.noise import noise_floor
+from sim2real.recording import PER_INERTIA
+from sim2real.robot import Servo
+from sim2real.servo.parameters import BASE, COLUMNS, LINE, LOSSES, ROTOR
 
-BANK = Path(__file__).with_name("unchanged.json")
-BANKS = read_json(BANK, "sim2real.unchanged/1")["ways"]
-"""What recordings look like in which nothing has changed, by the way they are explained, as
-``benchmarks/unchanged_bank.py`` found them: ``known``, how many there are; ``null``, for each
-effect the mean square that it takes away, over the references' residual; ``jump``, the largest step
-of the residual, over the references', that is no sign of anything."""
+RATIOS = {"kp": BASE[0], "kd": BASE[1], "stall_torque": LINE[0], "no_load_speed": LINE[1]}
+"""Parameters that may be set anew, by a ratio."""
+LATENCY, LOAD = "latency", "load"
+_LOAD = (BASE[3], BASE[4])
+BETWEEN_RUNS = {BASE[0]: 0.03, BASE[1]: 0.05, ROTOR: 0.13} | dict.fromkeys(LOSSES[1:4], 0.1)
+"""Standard deviations by which parameters differ between runs of one servo, relative."""
+LATENCY_BETWEEN_RUNS_S = 0.003
+LAW_ERROR_S = 0.5
+"""Time over which the error of a law persists."""
+FRICTION_SHARE = 0.4
+"""Largest friction that is plausible, as a share of the torque that a data sheet states."""
+_STARTS = (0.5, 0.75, 1.33, 2.0)
 
 
 @dataclass(frozen=True)
-class Directions:
-    """Every start of every effect, and of the plain servo's parameters."""
+class Changes(SameSteps):
+    """Recordings, what may have changed, and what runs differ by.
 
-    names: tuple[str, ...]  # effect or parameter of each, of which there are K
-    rows: Array  # the servo with it, shape (K, P)
-    signed: Mask  # whether it means something backwards, too, shape (K,)
-    moved: Array  # how it moves the angles of all recordings, shape (K, n)
+    Residuals are in standard deviations of the noise, of as many samples as are independent.
 
-
-def directions(of: Explained) -> Directions:
-    """Simulate them all."""
-    kp, inertia = float(of.row[0]), of.traces[0].load.inertia_kgm2
-    present = {COLUMNS[k].partition(".")[0] for k in np.flatnonzero(of.row) if "." in COLUMNS[k]}
-    rows, names = [of.row], []
-    if of.way != "rest":
-        for k, name in enumerate(GAINS):
-            rows.append(of.row.copy())
-            rows[-1][k] += 0.01 if name == "latency_s" else 0.1 * of.row[k]
-            names.append(name)
-    for option in candidates(present - {"motor"}, kp, inertia):
-        for start in option.starts if not option.effect.everywhere else ():
-            rows.append(of.row.copy())
-            rows[-1][option.columns] = start
-            names.append(option.effect.name)
-    angles = simulated(of.traces, np.array(rows), of.row)
-    signed = np.array([n in GAINS or named(n).either_sign for n in names])
-    moved = np.nan_to_num(angles[1:] - angles[:1])
-    return Directions(tuple(names), np.array(rows[1:]), signed, moved)
-
-
-def first_look(of: Explained, by: Directions, own: Mask) -> tuple[Array, Array, Array]:
-    """Free each direction at the samples ``own`` (n,) only, what the law shares in all.
-
-    Least squares, linear in all parameters, one variance for all recordings. Where it is free in
-    references, the case is left out: what changed there is nothing that references leave.
-
-    Returns:
-        What it takes away from them, as a mean square in rad2, its size in multiples of the start,
-        and the mean square that is left of them, each of shape (K,).
+    Attributes:
+        weight: Of the residuals, 1/rad, shape (n,).
+        times: Samples per independent sample, shape (n,).
+        usual: Variance of the noise, rad2, shape (n,).
+        count: Independent samples, in the noise of the references.
+        trust: Share of the information that counts, as more is left than in references.
+        along: Orthonormal directions of the residual in which runs differ, shape (n, K).
+        lost: Share of the residual that does not count along each, shape (K,).
     """
-    every = own | ~of.case
-    J, e = of.shared[every], of.residual[every]
-    inverse = np.linalg.pinv(of.variance * of.precision + J.T @ J, rcond=1e-12, hermitian=True)
-    slope = J.T @ e
-    D, J, e = by.moved[:, own], of.shared[own], of.residual[own]
-    if not e.size:
-        none = np.zeros(len(by.names))
-        return none, none, none
-    cross, square = J.T @ D.T, (D**2).sum(axis=1)
-    along = D @ e - cross.T @ (inverse @ slope)
-    free = square - np.einsum("fk,fg,gk->k", cross, inverse, cross)
-    visible = free > 1e-6 * square + 1e-30
-    size = np.where(visible, along / np.where(visible, free, 1.0), 0.0)
-    size[(size < 0) & ~by.signed] = 0.0
-    law = inverse @ (slope[:, None] - cross * size)
-    remaining = ((e[:, None] - J @ law - D.T * size) ** 2).mean(axis=0)
-    return np.where(visible, size * along, 0.0) / e.size, size, remaining
 
+    weight: Array | float = 1.0
+    times: Array | float = 1.0
+    usual: Array | float = 1.0
+    count: float = 0.0
+    trust: float = 1.0
+    along: Array | None = None
+    lost: Array | None = None
 
-@dataclass(frozen=True)
-class Contrast:
-    """What a change of each effect would explain of a joint's case."""
+    def _errors(self, rows: Array, substeps: Array) -> Array:
+        errors = super()._errors(rows, substeps) * self.weight
+        if self.along is None or self.lost is None:
+            return errors
+        return np.asarray(errors - (errors @ self.along * self.lost) @ self.along.T)
 
-    effects: tuple[str, ...]  # the effects, and parameters of the plain servo, of which there are N
-    gone: Array  # mean square that each takes away from the case, rad2, shape (N,)
-    remaining: Array  # mean square that each leaves, shape (N,)
-    size: Array  # how far each lies, in multiples of its start, shape (N,)
-    rows: Array  # the case's servo with each, shape (N, P)
-    usual: Array  # what each takes away where nothing has changed, in ``unit``, by the bank, (N,)
-    in_references: Array  # the sum of what each takes away from the references, rad2, shape (N,)
-    known: tuple[float, float]  # unchanged recordings behind the null sizes, of the bank and in all
-    scale2: float  # mean square residual of the references
-    law: bool = False  # whether these are explained by a law, which may fit few of them too well
+    def terms(self, x: Array) -> Array:
+        """The prior's residuals; weight and inertia of another load change together."""
+        parts = super().terms(x)
+        if set(_LOAD) <= set(self.names):
+            first, second = (self.names.index(name) for name in _LOAD)
+            parts[:, first] -= parts[:, second]
+            parts[:, first] *= DECISION.change.load_sd / DECISION.change.shape_sd
+        return parts
 
-    def __getitem__(self, order: Index) -> Contrast:
-        """Some of the changes."""
-        arrays = {k: x for k, x in vars(self).items() if isinstance(x, np.ndarray)}
-        parts: dict[str, Any] = {k: x[order] for k, x in arrays.items()}
-        return replace(self, effects=tuple(self.effects[k] for k in order), **parts)
+    def differing(self, more: Array | None = None) -> Changes:
+        """The same where runs differ as usual, and by ``more`` (n, M) in one standard deviation."""
+        rows = [self.row.copy() for _ in range(len(BETWEEN_RUNS) + 1)]
+        for row, (name, sd) in zip(rows, BETWEEN_RUNS.items(), strict=False):
+            row[COLUMNS.index(name)] *= 1 + sd
+        rows[-1][2] += LATENCY_BETWEEN_RUNS_S
+        moved = replace(self, along=None).row_residuals(np.array([self.row, *rows]))
+        moved = (moved[1:] - moved[:1]).T
+        place = np.repeat(np.arange(len(self.traces)), [int(t.used.sum()) for t in self.traces])
+        late = moved[:, -1:] * (place[:, None] == np.arange(len(self.traces)))
+        parts = [moved[:, :-1], late]
+        if more is not None:
+            parts.append(more * np.reshape(self.weight, (-1, 1)))
+        along, size, _ = np.linalg.svd(np.hstack(parts), full_matrices=False)
+        return replace(self, along=along, lost=1 - 1 / np.sqrt(1 + size**2))
 
-    @property
-    def null(self) -> Array:
-        """Mean square that each takes away where nothing has changed, rad2, shape (N,)."""
-        bank, every = self.known
-        of_bank = self.usual * unit(self.law, self.scale2, self.remaining) * bank
-        return np.asarray((of_bank + self.in_references) / every)
+    @cached_property
+    def error(self) -> Array:
+        """What the references' servo leaves, shape (n,)."""
+        return np.asarray(self.row_residuals(self.row[None])[0])
 
-    @property
-    def evidence(self) -> Array:
-        """Log odds of each change, of unknown size, against none, without the prior, (N,)."""
-        return student(self.gone / self.null, self.known[1])
+    @cached_property
+    def speed(self) -> Array:
+        """Of the references' servo at the used samples, rad/s, shape (n,)."""
+        bare = replace(self, weight=1.0, along=None)
+        parts = zip(bare.by_trace(bare.error), self.traces, strict=True)
+        return np.concatenate([np.gradient(e + t.position[t.used], t.t[t.used]) for e, t in parts])
 
-    @property
-    def behind(self) -> Array:
-        """What each explains less than the best does, in nats, shape (N,).
+    def weighted(
+        self,
+        noise: Array,
+        inflation: Sequence[float],
+        law_error: float = DECISION.change.law_error,
+    ) -> Changes:
+        """The same in this ``noise`` (``noise_of``), with an inflation of each recording.
 
-        A law is not quite what a servo does: it may be wrong by a share of what it explains.
+        A law is wrong by a share of what it explains, here of the error round about.
         """
-        best = int(np.argmax(self.gone))
-        blurred = self.null[best] + DECISION.change.law_error**2 * self.gone[best]
-        return np.asarray(0.5 * (self.gone[best] - self.gone) / blurred)
+        bare = replace(self, weight=1.0, along=None)
+        sizes, law = [], []
+        for error, trace in zip(bare.by_trace(bare.error), self.traces, strict=True):
+            samples = max(round(LAW_ERROR_S / trace.period_s), 1)
+            sizes.append(error.size)
+            law.append(samples * uniform_filter1d(error**2, samples))
+        usual, times = noise[0] + noise[1] * self.speed**2, np.repeat(inflation, sizes)
+        variance = usual * times + law_error**2 * np.concatenate(law)
+        count = float(np.sum(usual / variance))
+        return replace(self, weight=1 / np.sqrt(variance), times=times, usual=usual, count=count)
+
+    def left(self, error: Array) -> tuple[float, float]:
+        """Mean squares of residuals (n,), robust: in that of the noise, and of the law's error too.
+
+        The first is of as many samples as there are.
+        """
+        bare = error / self.weight / np.sqrt(self.usual)
+        all_in = error * np.sqrt(self.times / self.trust)
+        return robust_scale(bare) ** 2, robust_scale(all_in) ** 2
 
 
-def contrast(of: Explained, by: Directions) -> Contrast:
-    """Weigh a change of each effect against none, to first order."""
-    bank = BANKS[of.way]
-    names = tuple(dict.fromkeys(by.names))
-    place = [np.flatnonzero([n == name for n in by.names]) for name in names]
-    gone, size, remaining = first_look(of, by, of.case)
-    # Of several starts that which needs no far extrapolation.
-    near = gone / np.maximum(np.abs(size) / straight(of), 1.0) ** 2
-    best = np.array([mine[np.argmax(near[mine])] for mine in place])
-    seen = [mine for r in range(of.references) if (mine := of.recording == r).any()]
-    middle = float(np.median(list(bank["null"].values())))
-    usual = np.array([bank["null"].get(name, middle) for name in names])
-    if of.way == "repeat":
-        shares = [at_any_time(of.residual[mine], by.moved[best][:, mine]) for mine in seen]
-        usual *= np.mean(shares, axis=0)
-    looks = [first_look(of, by, mine)[0] for mine in seen]
-    return Contrast(
-        effects=names,
-        gone=gone[best],
-        remaining=remaining[best],
-        size=size[best],
-        rows=of.row + (by.rows[best] - of.row) * np.clip(size[best], -1, 1)[:, None],
-        usual=usual,
-        in_references=np.array([sum(float(x[mine].max()) for x in looks) for mine in place]),
-        known=(bank["known"], bank["known"] + len(seen)),
-        scale2=of.scale2,
-        law=of.way == "law",
-    )
+def noise_of(error: Array, speed: Array, least_sd: float, *, rounds: int = 10) -> Array:
+    """Variance of residuals (n,) at rest, rad2, and what a squared speed (n,) adds to it, s2.
 
-
-def straight(of: Explained) -> float:
-    """Multiples of its initial value that a change reaches along a straight line."""
-    return DECISION.change.max_extrapolation if of.way == "law" else 1.0
-
-
-def unit(law: bool, scale2: float, remaining: Array) -> Array:
-    """What null sizes are multiples of, rad2, shape (N,): what is left, at least ``scale2``.
-
-    That of references alone where no law explains the recordings. ``remaining`` is the mean square
-    that effects leave of the case, shape (N,).
+    Times of reading jitter, so that noise grows with speed.
     """
-    return np.maximum(remaining, scale2) if law else np.full(remaining.shape, scale2)
+    terms = np.stack([np.ones(error.size), speed**2], axis=1)
+    noise = np.array([robust_scale(error) ** 2, 0.0])
+    for _ in range(rounds):
+        variance = np.maximum(terms @ noise, least_sd**2)
+        limited = np.minimum(error**2, OUTLIER_SD**2 * variance)
+        noise = nnls(terms / variance[:, None], limited / variance)[0]
+    return np.array([max(noise[0], least_sd**2), noise[1]])
 
 
-def at_any_time(residual: Array, moved: Array) -> Array:
-    """Share of a reference's residual (T,) that directions (N, T) take away at a random time, (N,).
+@dataclass(frozen=True)
+class Fitted:
+    """Changes, fitted to the case."""
 
-    The mean over all times, by the theorem of Wiener and Khinchin.
-    """
-    power, other = (np.abs(np.fft.fft(x)) ** 2 for x in (residual, moved))
-    weight = power.sum() * other.sum(axis=1)
-    share = np.ones(len(moved))
-    np.divide(other @ power, weight, out=share, where=weight > 0)
-    return share
+    names: tuple[str, ...]  # what has changed
+    row: Array  # the case's servo, shape (P,)
+    gain: float  # of log-likelihood, prior included, in the references' noise
+    occam: float  # cost of its parameters in log-evidence
+    left: float  # mean square that it leaves, robust, in that of the noise and the law's error
+    bare: float  # the same in that of the noise alone
+    trust: float  # share of a gain that counts, as what no change explains is left
+    sizes: dict[str, dict[str, Estimate]]  # its parameters by change and name
 
-
-def first_pairs(of: Explained, by: Directions) -> dict[frozenset[str], Array]:
-    """The servo (P,) with each pair of effects that explains the case, to first order, best first.
-
-    By least squares; no law shares anything.
-    """
-    e, D = of.residual[of.case], by.moved[:, of.case]
-    gram, along = D @ D.T, D @ e
-    square = np.diag(gram)
-    both = np.outer(square, square)
-    free = both - gram**2
-    size = along[:, None] * square - along * gram  # of the first of two, times ``free``
-    size = np.divide(size, free, out=np.zeros_like(size), where=free > 1e-6 * both)
-    gone = size * along[:, None]
-    gone += gone.T
-    never = (size < 0) & ~by.signed[:, None] | np.isin(by.names, GAINS)
-    gone[never | never.T] = 0.0
-    pairs: dict[frozenset[str], Array] = {}
-    for i, j in zip(*np.unravel_index(np.argsort(-gone, axis=None), gone.shape), strict=True):
-        pair = frozenset((by.names[i], by.names[j]))
-        if gone[i, j] > 0 and len(pair) == 2 and pair not in pairs:
-            more = size[i, j] * (by.rows[i] - of.row) + size[j, i] * (by.rows[j] - of.row)
-            pairs[pair] = of.row + more
-    return pairs
+    @property
+    def evidence(self) -> float:
+        """Logarithm of the marginal likelihood, over that of no change."""
+        return self.gain - self.occam
 
 
-def fitted(of: Explained, effects: Sequence[str], starts: Sequence[Array]) -> tuple[Array, float]:
-    """Fit effects, or parameters of the plain servo, to the case; the servo itself stays.
+class Comparison:
+    """The case of a joint, its references, and every change that may explain the one."""
 
-    ``starts`` are servos to start from, shape (P,) each.
+    def __init__(self, of: Explained, servo: Servo) -> None:
+        self.of, self.servo, R = of, servo, of.references
+        self.load = of.traces[-1].load  # of the case, as stated
+        self.least = min((t.load for t in of.traces), key=lambda load: load.inertia_kgm2)
+        self.inertia = self.least.inertia_kgm2
+        every = [Changes((trace,), of.row, ()) for trace in of.traces]
+        known = [r for r in range(R) if of.traces[r].used.any()]
+        noise, times = np.array([of.least_sd**2, 0.0]), dict.fromkeys(known, 1.0)
+        error = {r: every[r].error for r in known}
+        for _ in range(2 if known else 0):
+            speed = np.concatenate([every[r].speed for r in known])
+            noise = noise_of(np.concatenate([error[r] for r in known]), speed, of.least_sd)
+            for r in known:
+                one = every[r].weighted(noise, [times[r]]).differing()
+                times[r], error[r] = one.inflation(one.error), one.error / one.weight
+        usual = float(np.mean(list(times.values()))) if known else 1.0
+        inflation = [
+            max(float(np.mean([times[q] for q in mates if q in times] or [usual])), usual)
+            for mates in of.mates
+        ]
+        floors = [noise_floor(t.t, t.command, t.position) for t in of.traces[:R]]
+        self.misfit = max(0.0, 1 - max(floors) ** 2 / float(noise[0])) if of.way == "law" else 0.0
+        self.noise, self.usual = noise, usual
+        self.references = [
+            every[r].weighted(noise, inflation[r : r + 1]).differing() for r in known
+        ]
+        case = Changes(of.traces[R:], of.row, ()).weighted(noise, inflation[R:])
+        self.law_sd = self._law_sd() if of.way == "law" else None
+        self.case = case.differing(self.law_sd)
+        self.start_bare, self.start = self.case.left(self.case.error)
 
-    Returns:
-        The servo with these effects, shape (P,), and the mean square that it leaves, rad2.
-    """
-    inertia = of.traces[0].load.inertia_kgm2
-    free = [p for p in gains(inertia) if p.name in effects]
-    free += of_effects([named(name) for name in effects if name not in GAINS], of.row, inertia)
-    case, residual = of.traces[of.references :], of.residual[of.case]
-    problem = ServoProblem(case, of.row, tuple(free))
-    parts = problem.by_trace(problem.row_residuals(of.row[None])[0] + residual)
-    case = tuple(_beyond(*pair) for pair in zip(case, parts, strict=True))
-    problem = replace(problem, traces=case)
-    noise = max(float(np.sqrt(of.energy)), 1e-9), 1.0
-    x, _, _, _ = search(problem, problem.searched(np.array(starts)), noise, 40)
-    left = problem.residuals(x[:1])
-    return problem.rows(x[:1])[0], float(np.mean(left**2))
+    def doubt(self, best: Fitted) -> None:
+        """Let the case count less, by what the best explanation leaves of it."""
+        case, trust = self.case, best.trust
+        case = replace(case, weight=case.weight * trust**0.5, trust=case.trust * trust)
+        self.case = case.differing(self.law_sd)
+
+    def _law_sd(self) -> Array:
+        """What the parameters of the law move in the case, one standard deviation each, (n, F)."""
+        used = [n for n, x in zip(COLUMNS, self.of.row, strict=True) if n in BASE[:3] or x > 0]
+        free, R = motor_prior(self.servo, self.of.traces).of(used), self.of.references
+        known = Changes(self.of.traces[:R], self.of.row, free)
+        known = known.weighted(self.noise, [self.usual] * R)
+        x = known.searched(self.of.row[None])
+        slopes, (prior,) = known.slopes(x)[1][0], known.prior_slopes(x)[1]
+        precision = slopes.T @ slopes + prior.T @ prior
+        size, turn = np.linalg.eigh(precision)
+        root = turn / np.sqrt(np.maximum(size, 1e-9 * size.max()))
+        slopes = Changes(self.of.traces[R:], self.of.row, free).slopes(x)[1][0]
+        return np.asarray(slopes @ root)
+
+    def parameters(self, name: str, row: Array) -> tuple[Parameter, ...]:
+        """What is fitted where this has changed, with its prior, for a servo ``row`` (P,)."""
+        numbers, load = DECISION.change, self.load
+        if name in RATIOS:
+            value = float(self.of.row[COLUMNS.index(RATIOS[name])])
+            ends = value / 20, value * 20, LOG_UNIT, float(np.log(value))
+            return (Parameter(RATIOS[name], *ends, numbers.ratio_sd, log=True),)
+        if name == LATENCY:
+            usual = float(self.of.row[2])
+            return (Parameter(BASE[2], 0.0, 0.5, 0.01, usual, numbers.latency_sd_s),)
+        if name == LOAD:
+            sizes = zip(_LOAD, (load.inertia_kgm2, load.gravity_Nm), strict=True)
+            return tuple(
+                Parameter(n, -0.9 * x, 9.0 * x, 0.3 * x, 0.0, numbers.load_sd * x) for n, x in sizes
+            )
+        effect, sd = named(name), DECISION.prior_sd
+        free = []
+        for k, p in enumerate(of_effects([effect], self.of.row, self.inertia)):
+            absent = k == 0 and not is_limit(effect.parameters[0])
+            most = p.high
+            if effect.site in ("load", "friction") and p.name.endswith("torque_Nm"):
+                share = 1.0 if effect.load else FRICTION_SHARE
+                known = load is not PER_INERTIA
+                most = min(p.high, share * self.servo.max_torque_Nm) if known else most
+            low = max(p.low, -most) if p.low < 0 else min(p.low, 0.5 * most)
+            middle = 0.0 if absent else p.nominal
+            free.append(replace(p, low=low, high=most, nominal=middle, prior_sd=sd * p.typical))
+        return tuple(free)
+
+    def starts(self, row: Array, present: Set = frozenset()) -> tuple[list[str], Array]:
+        """Every change beside those ``present`` of a servo ``row`` (P,), and servos with it."""
+        names, rows, load = list[str](), list[Array](), self.least
+
+        def add(name: str, values: dict[int, float]) -> None:
+            names.append(name)
+            rows.append(row.copy())
+            rows[-1][list(values)] = list(values.values())
+
+        for name, parameter in RATIOS.items() if self.of.way != "rest" else ():
+            k = COLUMNS.index(parameter)
+            for ratio in _STARTS if row[k] > 0 else ():
+                add(name, {k: row[k] * ratio})
+        for later in (-0.01, 0.01, 0.03) if self.of.way != "rest" else ():
+            add(LATENCY, {2: max(row[2] + later, 0.0)})
+        for ratio in _STARTS if load.gravity_Nm > 0 else ():
+            sizes = enumerate((load.inertia_kgm2, load.gravity_Nm), start=3)
+            add(LOAD, {k: (ratio - 1) * x for k, x in sizes})
+        there = {COLUMNS[k].partition(".")[0] for k in np.flatnonzero(row) if "." in COLUMNS[k]}
+        for option in candidates(there - {"motor"}, float(self.of.row[0]), self.inertia):
+            for start in option.starts if not option.effect.everywhere else ():
+                add(option.effect.name, dict(zip(option.columns.tolist(), start, strict=True)))
+        kept = [k for k, name in enumerate(names) if name not in present]
+        return [names[k] for k in kept], np.array(rows)[kept]
+
+    def screened(
+        self, problem: Changes, row: Array, present: Set = frozenset(), only: Sequence[str] = ()
+    ) -> dict[str, tuple[float, Array]]:
+        """By change, the gain in log-likelihood along a straight line, and the servo (P,) there.
+
+        Of those that are not ``present``, or ``only`` of some.
+        """
+        names, rows = self.starts(row, present)
+        if only:
+            some = [k for k, name in enumerate(names) if name in only]
+            names, rows = [names[k] for k in some], rows[some]
+        errors = problem.row_residuals(np.vstack([row[None], rows]))
+        error, moved = errors[0], np.nan_to_num(errors[1:] - errors[:1])
+        weight = 1 / np.sqrt(1 + (error / (OUTLIER_SD * max(robust_scale(error), 1e-9))) ** 2)
+        square, slope = (moved**2 * weight).sum(axis=1), -(moved * weight) @ error
+        share = slope / np.maximum(square, 1e-300)
+        share = np.clip(share, [-1.0 if _either_sign(n) else 0.0 for n in names], 1.0)
+        gain = share * slope - 0.5 * share**2 * square
+        best: dict[str, tuple[float, Array]] = {}
+        for name, one, x, start in zip(names, gain, share, rows, strict=True):
+            if one > best.get(name, (-1.0, row))[0]:
+                best[name] = float(one), row + x * (start - row)
+        return best
+
+    def fitted(self, names: Sequence[str], starts: Sequence[Array]) -> Fitted:
+        """Fit changes to the case, from some servos (P,)."""
+        free = [p for name in names for p in self.parameters(name, starts[0])]
+        problem = replace(self.case, parameters=tuple(free))
+        x, loss, _, _ = search(problem, problem.searched(np.array(starts)), (1.0, 1.0), 40)
+        (error,), (slopes,) = problem.slopes(x[:1], rough=False)
+        _, (prior,) = problem.prior_slopes(x[:1])
+        known, (bare, left) = prior.T @ prior, problem.left(error)
+        weight = 1 / np.sqrt(1 + (error / OUTLIER_SD) ** 2)
+        trust = 1 / (max(left, 1.0) * max(problem.inflation(error) / self.usual, 1.0))
+        trust = min(trust / problem.trust, 1.0)
+        precision = known + (slopes * weight[:, None]).T @ slopes * trust
+        occam = 0.5 * (np.linalg.slogdet(precision)[1] - np.linalg.slogdet(known)[1])
+        sd = np.sqrt(np.diag(np.linalg.pinv(precision, hermitian=True)))
+        ends = problem.values(np.clip(x[0] + np.outer((-Z90, 0.0, Z90), sd), *problem.box))
+        before = self.case.loss(np.zeros((1, 0)), self.case.error[None], 1.0, 1.0)
+        return Fitted(
+            tuple(names),
+            problem.rows(x[:1])[0],
+            0.5 * float(before[0] - loss[0]),
+            float(occam),
+            left,
+            bare,
+            trust,
+            {name: self._sizes(name, problem.names, ends) for name in names},
+        )
+
+    def _sizes(self, name: str, names: Sequence[str], ends: Array) -> dict[str, Estimate]:
+        """Values of the parameters of a change; ratios of those that the servo has anyway."""
+        own = [p.name for p in self.parameters(name, self.of.row)]
+        sizes, load = dict[str, Estimate](), self.load
+        for parameter in reversed(own):
+            low, middle, high = np.sort(ends[:, names.index(parameter)])
+            key, before, more = parameter.partition(".")[2] or parameter, 1.0, 0.0
+            if name in RATIOS:
+                key, before = "ratio", float(self.of.row[COLUMNS.index(parameter)])
+            elif name == LATENCY:
+                key, more = "change_s", -float(self.of.row[2])
+            elif name == LOAD:
+                weight = parameter == _LOAD[1]
+                key = "ratio" if weight else "inertia_ratio"
+                before = load.gravity_Nm if weight else load.inertia_kgm2
+                more = before
+            low, middle, high = ((x + more) / before for x in (low, middle, high))
+            sizes[key] = Estimate(middle, (high - low) / (2 * Z90), low, high)
+        return sizes
 
 
-def _beyond(trace: Trace, more: Array) -> Trace:
-    """A trace whose used angles are larger by ``more`` (n,)."""
-    position = trace.position.copy()
-    position[trace.used] += more
-    return replace(trace, position=position)
+def _either_sign(name: str) -> bool:
+    return name in SET_ANEW or named(name).either_sign

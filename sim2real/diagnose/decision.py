@@ -28,11 +28,18 @@ T = TypeVar("T")
 class ChangeDecision:
     """Numbers that decide what has changed since the reference recordings."""
 
-    retuned_log_odds: float  # log odds that a plain parameter changed, against an effect
-    max_extrapolation: float  # prior standard deviation of a change, in multiples of its start
-    law_error: float  # relative error of a linearised change
+    law_error: float  # share of a change's gain by which another may be ahead by chance
+    ratio_sd: float  # prior standard deviation of the logarithm of a parameter's ratio
+    latency_sd_s: float  # that of a change of latency
+    load_sd: float  # that of a load, relative to the stated one
+    shape_sd: float  # that of the difference of its relative inertia and weight
+    null_known: float  # unchanged recordings that the next three numbers count as
+    null_repeat: float  # gain in log-likelihood of a change in an unchanged repeat
+    null_rest: float  # the same where servos rest, per independent sample
+    null_law: float  # the same where a law explains them, per independent sample
+    jump_ratio: float  # step of the residual, relative to the references', that is a jump
+    repeated_jump_ratio: float  # the same in a repeat
     explained_share: float  # share of a change that named effects must explain
-    min_evidence: float  # evidence below which no change will be named, however well it fits
     most_certain: float  # largest probability of a change that the recordings show only in part
     foreign_misfit: float  # misfit of the case, relative to the references', that no servo has
     misfit_ratio: float  # factor by which one explanation must fit better than another

@@ -15,9 +15,9 @@ from sim2real.diagnose.calibrated_odds import judged_and_offered
 from sim2real.diagnose.case import Case, JointCase, on_one_clock, prepared
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.effect_search import first_look
-from sim2real.diagnose.investigate import investigate, placed
+from sim2real.diagnose.investigate import placed
 from sim2real.diagnose.joint_result import JointFindings
-from sim2real.diagnose.references import against_references, with_known_servos
+from sim2real.diagnose.references import findings_of, with_known_servos
 from sim2real.diagnose.result import Diagnosis
 from sim2real.diagnose.rival_sets import with_open_sets
 from sim2real.diagnose.servo_search import ServoSearch, plain_sets
@@ -141,10 +141,9 @@ def examined(
         batch = Batch([joint.traces for joint in joints], device)
         joints = on_one_clock(batch, joints, [tried.best for tried in first])
     batch = Batch([joint.traces for joint in joints], device)
-    findings = investigate(
+    findings = findings_of(
         batch, joints, first, rng=rng, progress=lambda share: progress(0.8 * share)
     )
-    findings = [against_references(batch, *pair) for pair in zip(joints, findings, strict=True)]
     found = judged_and_offered(joints, findings, device)
     plain = [one.finding.tried.plain for one in found]
     before = residual_angles(batch, joined([servo.fit for servo in plain]))
@@ -210,6 +209,8 @@ def _least_squares(joint: JointCase, servo: Hypothesis) -> Array:
 
     A fit with a free noise model takes what is missing for noise, and predicts worse.
     """
+    if joint.references:  # as fitted to these, and to the case what has changed since
+        return np.asarray(servo.fit.servos.theta[0])
     effects = [named(effect) for effect in sorted(servo.members)]
     theta = servo.fit.servos.theta[0]
     return refitted(joint.traces, theta, [e for e in effects if e.fitted and not e.everywhere]).row

@@ -1,8 +1,8 @@
 """Recordings as their references explain them.
 
-The prediction of an unchanged recording is, in this order, the mean residual of references with the
-same command (``repeat``), where the references came to rest if the servo is sampled slowly, so that
-it is mostly seen at rest (``rest``), or the servo's law with the references' parameters (``law``).
+The prediction of an unchanged recording is that of the references' law, plus, where references have
+the same command (``repeat``), the mean of what the law leaves of them. Servos that are sampled
+slowly are compared with the angles at which the references came to rest (``rest``).
 """
 
 from __future__ import annotations
@@ -17,18 +17,41 @@ from scipy.optimize import minimize_scalar
 
 from sim2real.arrays import Array, Index, Mask
 from sim2real.diagnose.decision import DECISION
-from sim2real.effects import CATALOGUE
-from sim2real.identification.priors import motor_prior
 from sim2real.identification.problem import ServoProblem
-from sim2real.inference.correlated_noise import correlation_samples
 from sim2real.noise import noise_floor
-from sim2real.robot import Servo
-from sim2real.servo.parameters import BASE, COLUMNS, beyond_load
+from sim2real.servo.parameters import BASE, beyond_load
 from sim2real.servo.rollout import LONGEST_SUBSTEP_S, Simulator
 from sim2real.servo.trace import Trace
 
 Way = Literal["repeat", "rest", "law"]
-GAINS = BASE[:3]
+
+
+class SameSteps(ServoProblem):
+    """A servo to be compared with another one of other parameters.
+
+    Loads of rows are in addition to those that are stated. Sub-steps change as little as possible,
+    so that differences are of physics.
+    """
+
+    @cached_property
+    def simulator(self) -> Simulator:
+        """Simulator of these traces, to whose loads those of servos are added."""
+        return Simulator(self.traces, add_loads=True)
+
+    @cached_property
+    def exact(self) -> bool:
+        """Never: what a solution in closed form differs by is no change."""
+        return False
+
+    @cached_property
+    def _usual(self) -> float:
+        """Sub-step of the servo itself; a sensor's filter may be shorter than a sample."""
+        longest = min(LONGEST_SUBSTEP_S, min(trace.period_s for trace in self.traces) / 8)
+        return float(self.simulator.substeps(self.row[None], longest_s=longest, exact=False)[0])
+
+    def substeps(self, rows: Array, *, rough: bool = False) -> Array:
+        """That of the servo itself, shorter where servos (B, P) are faster, s, (B,)."""
+        return np.minimum(self.simulator.substeps(rows, exact=False), self._usual)
 
 
 @dataclass(frozen=True)
@@ -36,16 +59,18 @@ class Explained:
     """Recordings of a joint, the references first, and their residuals at n samples."""
 
     way: Way  # how they are explained
-    traces: tuple[Trace, ...]  # the recordings; what is looked at is ``used``
+    # the recordings less what references say that the law misses; what is looked at is ``used``
+    traces: tuple[Trace, ...]
     references: int  # number of references
-    residual: Array  # measured minus explained angles of all in turn, rad, shape (n,)
-    row: Array  # parameters of the servo, shape (P,)
-    # derivatives of the angles by what the law shares among all, shape (n, F); F is 0 where no law
-    # explains them
-    shared: Array
-    precision: Array  # precision of the prior of these parameters, shape (F, F)
-    variance: float  # variance of a sample relative to that prior, with correlation counted, rad2
-    scale2: float  # mean square residual of the references, at least that of rounding, rad2
+    row: Array  # parameters of the references' servo, its load 0 in addition, shape (P,)
+    least_sd: float  # smallest standard deviation that a residual may have, rad
+    mates: tuple[tuple[int, ...], ...]  # of each recording the references like it, all or none
+
+    @cached_property
+    def residual(self) -> Array:
+        """Measured minus explained angles of all recordings in turn, rad, shape (n,)."""
+        errors = SameSteps(self.traces, self.row, ()).row_residuals(self.row[None])
+        return np.asarray(-errors[0])
 
     @cached_property
     def recording(self) -> Index:
@@ -57,41 +82,6 @@ class Explained:
     def case(self) -> Mask:
         """Samples of the recordings in question, shape (n,)."""
         return np.asarray(self.recording >= self.references)
-
-    def without(self, row: Array) -> Explained:
-        """The recordings less what a change of the servo to ``row`` (P,) does in the case."""
-        rows, residual = np.array([self.row, row]), self.residual.copy()
-        before, after = simulated(self.traces[self.references :], rows, self.row)
-        residual[self.case] -= after - before
-        return replace(self, residual=residual)
-
-    @property
-    def energy(self) -> float:
-        """Mean square residual of the case, rad2; 0 where nothing is looked at."""
-        return _mean_square(self.residual[self.case])
-
-    @property
-    def loss(self) -> float:
-        """Sum of squared residuals of all recordings, what they share at its best, rad2."""
-        return float(self.residual @ self.settled.residual)
-
-    @property
-    def settled(self) -> Explained:
-        """The same, less what the law explains better with what it shares at its best."""
-        J = self.shared
-        normal = self.variance * self.precision + J.T @ J
-        law = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ (J.T @ self.residual)
-        return replace(self, residual=self.residual - J @ law)
-
-
-def simulated(traces: Sequence[Trace], rows: Array, servo: Array, *, substeps: int = 8) -> Array:
-    """Angles of servos (B, P) at the used samples, with the sub-step of one of them, (B, n)."""
-    simulator = Simulator(traces, threads=1)
-    # A sensor's filter may be shorter than a sample, and no sub-step longer than that.
-    longest = min(LONGEST_SUBSTEP_S, min(trace.period_s for trace in traces) / substeps)
-    step = float(simulator.substeps(servo[None], longest_s=longest).min())
-    angles = simulator.angles(rows, min(step, longest))
-    return np.hstack([a[:, trace.used] for a, trace in zip(angles, traces, strict=True)])
 
 
 def way_of(references: Sequence[Trace], case: Sequence[Trace]) -> Way:
@@ -105,43 +95,45 @@ def way_of(references: Sequence[Trace], case: Sequence[Trace]) -> Way:
 
 
 def explained(
-    references: Sequence[Trace], case: Sequence[Trace], row: Array, servo: Servo
+    references: Sequence[Trace], case: Sequence[Trace], row: Array, step_rad: float
 ) -> Explained:
-    """Explain recordings of a joint by its references, and by a servo of a row (P,)."""
-    traces, R = (*references, *case), len(references)
-    way, step = way_of(references, case), servo.position_step_rad
-    smallest2, predicted = 1e-18, [True] * R
+    """Explain recordings of a joint by its references, and by a servo of a row (P,).
+
+    ``step_rad`` is the step of its sensor.
+    """
+    traces, R = [without_wrong_readings(trace) for trace in (*references, *case)], len(references)
+    way, least = way_of(references, case), 1e-9
+    row = row.copy()
+    row[BASE.index("inertia_kgm2") : BASE.index("gravity_Nm") + 1] = 0.0
+    mates = [tuple(q for q in range(R) if q != r) for r in range(len(traces))]
+    errors = _law_errors(traces, row)
     if way == "rest":
-        residuals, spread2 = beside_rest(traces, R, step)
-        smallest2 = max(smallest2, spread2, step**2 / 12)
+        differences, spread2 = beside_rest(traces, R, step_rad)
+        least = float(np.sqrt(max(spread2, step_rad**2 / 12)))
+        shared = [error - x for error, x in zip(errors, differences, strict=True)]
+    elif way == "repeat":
+        shared, mates = in_common(traces, errors, R)
+        if not np.isfinite(np.concatenate(shared[:R])).any():  # each has a command of its own
+            floors = (noise_floor(t.t, t.command, t.position) for t in traces[:R])
+            least = 2 * max(floors)
     else:
-        residuals = _law_errors(traces, row)
-    if way == "repeat":
-        freed, repeated = freed_of_the_common(traces, [-np.nan_to_num(x) for x in residuals], R)
-        triples = zip(residuals, freed, traces, strict=True)
-        residuals = [error + (f.position - t.position) for error, f, t in triples]
-        predicted = repeated[:R].tolist()
-        if not any(predicted):
-            noise = max(noise_floor(t.t, t.command, t.position) for t in references)
-            smallest2 = max(smallest2, 4 * noise**2)
-    looked = [replace(t, used=np.isfinite(x)) for t, x in zip(traces, residuals, strict=True)]
-    parts = [x[trace.used] for x, trace in zip(residuals, looked, strict=True)]
-    known = [x for x, is_known in zip(parts, predicted, strict=False) if is_known]
-    scale2 = max(_mean_square(np.concatenate([*known, np.zeros(0)])), smallest2)
-    residual, variance = np.concatenate(parts), scale2
-    shared, precision = np.zeros((residual.size, 0)), np.zeros((0, 0))
-    if way == "law":
-        used = [name for name, x in zip(COLUMNS, row, strict=True) if name in GAINS or x > 0]
-        law = ServoProblem(looked, row, motor_prior(servo, traces).of(used))
-        x = law.searched(row[None])
-        shared, (prior,) = law.slopes(x)[1][0], law.prior_slopes(x)[1]
-        precision = prior.T @ prior
-        variance *= float(np.mean([correlation_samples(x) for x in known]))
-    return Explained(way, tuple(looked), R, residual, row, shared, precision, variance, scale2)
+        shared = [np.zeros(error.size) for error in errors]
+    freed = tuple(
+        replace(t, position=t.position - more, used=np.isfinite(error - more))
+        for t, more, error in zip(traces, shared, errors, strict=True)
+    )
+    return Explained(way, freed, R, row, least, tuple(mates))
 
 
-def _mean_square(values: Array) -> float:
-    return float(np.mean(values**2)) if values.size else 0.0
+def without_wrong_readings(trace: Trace, *, jump_rad: float = 0.5) -> Trace:
+    """A trace without single readings that are far from both neighbours on one side."""
+    used = np.flatnonzero(trace.used)
+    step = np.diff(trace.position[used])
+    wrong = (np.abs(step) > jump_rad)[:-1] & (np.abs(step) > jump_rad)[1:]
+    wrong &= step[:-1] * step[1:] < 0
+    mask = trace.used.copy()
+    mask[used[1:-1][wrong]] = False
+    return replace(trace, used=mask)
 
 
 def _law_errors(
@@ -158,69 +150,43 @@ def _law_errors(
     memory_s = float(np.clip(latency + 12 / max(rate, 1e-9), *limits_s))
     errors = []
     full = [replace(trace, used=np.ones(trace.t.size, dtype=bool)) for trace in traces]
-    angles = np.split(simulated(full, row[None], row)[0], np.cumsum([t.t.size for t in traces]))
-    for trace, angle in zip(traces, angles, strict=False):
+    problem = SameSteps(full, row, ())
+    parts = problem.by_trace(-problem.row_residuals(row[None])[0])
+    for trace, error in zip(traces, parts, strict=True):
         apart = np.diff(trace.t, prepend=trace.t[0])
         gap = apart > 1.5 * float(np.median(apart[1:]))
         last = np.maximum.accumulate(np.where(gap, np.arange(gap.size), 0))
         counts = trace.used & (trace.t - trace.t[last] > memory_s)
-        errors.append(np.where(counts, trace.position - angle, np.nan))
+        errors.append(np.where(counts, error, np.nan))
     return errors
 
 
-def misstated(of: Explained) -> tuple[tuple[str, ...], Array, float] | None:
-    """Whether the case is explained better with the load of the references than with its own.
+def in_common(
+    traces: Sequence[Trace], errors: Sequence[Array], references: int
+) -> tuple[list[Array], list[tuple[int, ...]]]:
+    """What the law leaves (T,) of other references with the command of each recording, rad.
 
-    Both loads are stated, and one servo is fitted to all recordings with the one or the other: with
-    nothing free this tells more than the search for a load of any size.
-
-    Returns:
-        The effects that stand for the difference, the servo under the stated load with the
-        difference, shape (P,), and the gain in log-likelihood with the references' load; None where
-        the loads do not differ.
-    """
-    loads, row, effects = [trace.load for trace in of.traces], of.row.copy(), []
-    known, stated, case = loads[0], loads[-1], of.traces[of.references :]
-    if len({*loads[: of.references]}) > 1 or len({*loads[of.references :]}) > 1:
-        return None
-    for effect in CATALOGUE:
-        if effect.load and (more := getattr(known, effect.load) - getattr(stated, effect.load)):
-            row[COLUMNS.index(f"{effect.name}.{effect.parameters[0].name}")] += more
-            effects.append(effect.name)
-    if not effects:
-        return None
-    residual, one = of.residual.copy(), of.row[None]
-    with_known = [replace(trace, load=known) for trace in case]
-    residual[of.case] += (simulated(case, one, of.row) - simulated(with_known, one, of.row))[0]
-    gain = 0.5 * (of.loss - replace(of, residual=residual).loss) / of.variance
-    return tuple(effects), row, gain
-
-
-def freed_of_the_common(
-    traces: Sequence[Trace], residuals: Sequence[Array], references: int
-) -> tuple[list[Trace], Mask]:
-    """Traces corrected by the residuals of other references with the same command.
-
-    Physics that a model lacks is in both recordings of one command, and not in their difference.
-    ``residuals`` are simulated minus measured angles in rad, the references first.
+    Physics that a law lacks is in both recordings of one command, and not in their difference.
+    ``errors`` are measured minus simulated angles, the references first, NaN where unknown.
 
     Returns:
-        The traces, with angles corrected by the mean residual of those references, NaN at times
-        that none of them covers; and a mask of the traces that have such references.
+        For each recording the mean over these references, NaN at times that none covers, and the
+        places of these.
     """
-    freed = list(traces)
-    for r, trace in enumerate(traces):
-        common = []
-        for other, residual in zip(traces[:references], residuals, strict=False):
+    shared, mates = [], []
+    for trace in traces:
+        common, mine = [], []
+        for q, (other, error) in enumerate(zip(traces[:references], errors, strict=False)):
             lag, difference = (0.0, np.inf) if other is trace else alignment(trace, other)
             if difference < DECISION.change.same_command:
-                used = other.used
-                known = other.t[used], residual[: used.size][used]
-                common.append(np.interp(trace.t + lag, *known, np.nan, np.nan))
-        if common:
-            mean = np.ma.masked_invalid(common).mean(axis=0).filled(np.nan)
-            freed[r] = replace(trace, position=trace.position + mean)
-    return freed, np.array([new is not old for new, old in zip(freed, traces, strict=True)])
+                mine.append(q)
+                there = np.isfinite(error)
+                pair = other.t[there], error[there]
+                common.append(np.interp(trace.t + lag, *pair, np.nan, np.nan))
+        known = [*common, np.full(trace.t.size, np.nan)]
+        shared.append(np.ma.masked_invalid(known).mean(axis=0).filled(np.nan))
+        mates.append(tuple(mine))
+    return shared, mates
 
 
 def alignment(trace: Trace, other: Trace, *, lags_tried: int = 61) -> tuple[float, float]:
@@ -275,7 +241,8 @@ def beside_rest(
         level = np.ma.masked_invalid(levels).mean(axis=0).filled(np.nan)
         differences.append(np.full(trace.t.size, np.nan))
         differences[-1][at] = trace.position[at] - level
-    return differences, _mean_square(np.concatenate(spread))
+    steps = np.concatenate(spread)
+    return differences, float(np.mean(steps**2)) if steps.size else 0.0
 
 
 def _rests(trace: Trace, step_rad: float) -> tuple[Index, Array, Array]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from sim2real.diagnose.effect_search import (
     with_rotors,
 )
 from sim2real.diagnose.link_effect import IrregularTiming, LinkData, link_of
+from sim2real.diagnose.result import Estimate
 from sim2real.diagnose.servo_search import ServoSearch
 from sim2real.diagnose.unmodelled import Unmodelled, beyond_noise, excess, unmodelled
 from sim2real.effects import CATALOGUE, named
@@ -62,6 +63,8 @@ class Finding:
     noise: float  # standard deviation of the sensor's noise, rad
     link: IrregularTiming | None = None  # irregular timing of the link, or None
     place: int = 0  # of the joint among those of the link
+    # parameters of what has changed since references, by change and name
+    sizes: Mapping[str, Mapping[str, Estimate]] = field(default_factory=dict)
 
     @property
     def unfinished(self) -> bool:

@@ -73,7 +73,8 @@ class JointFindings:
     @property
     def adds_effects(self) -> bool:
         """Whether the offered servo has effects that the plain one lacks."""
-        return self.offered.members != self.finding.tried.base
+        changed = bool(self.finding.sizes) and self.offered is not self.finding.tried.plain
+        return changed or self.offered.members != self.finding.tried.base
 
     @property
     def error(self) -> float:
@@ -159,6 +160,8 @@ class JointFindings:
         A law is wrong by a share of its own effect, which no recording tells (``law_error``). The
         intervals of effects that may be exchanged (``partner``) contain the values of both.
         """
+        if effect in self.finding.sizes:
+            return dict(self.finding.sizes[effect])
         link, step = self.finding.link, self.joint.step_rad
         first = named(effect).parameters[0].name
         if link is not None and link.effect == effect:

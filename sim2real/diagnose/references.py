@@ -8,22 +8,51 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import expit
 
+from sim2real.arrays import Array
 from sim2real.diagnose.baseline import BLOCKS, with_effects
 from sim2real.diagnose.case import Case, JointCase, prepared
-from sim2real.diagnose.change import what_changed
+from sim2real.diagnose.change import Change, what_changed
+from sim2real.diagnose.contrast import Changes, noise_of
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
-from sim2real.diagnose.explained import way_of
-from sim2real.diagnose.investigate import ROUNDING, Finding
+from sim2real.diagnose.effect_probabilities import EffectPosterior, Group
+from sim2real.diagnose.explained import way_of, without_wrong_readings
+from sim2real.diagnose.investigate import ROUNDING, Finding, investigate
 from sim2real.diagnose.result import Experiment
+from sim2real.diagnose.servo_search import ServoSearch, plain_sets
+from sim2real.diagnose.unmodelled import unmodelled
+from sim2real.effects import named
 from sim2real.identification.first_guess import first_guess
-from sim2real.identification.motor_choice import choose_motor
+from sim2real.identification.motor_choice import EXPLAINED, choose_motor
 from sim2real.identification.plain_fit import best_of
-from sim2real.identification.servo_problem import Hypothesis, minimise
-from sim2real.model import JointModel, Model
+from sim2real.identification.priors import motor_prior, of_effects
+from sim2real.identification.problem import Fit
+from sim2real.identification.search import fit
+from sim2real.identification.servo_problem import (
+    Fits,
+    Hypothesis,
+    Servos,
+    Set,
+    Tried,
+    joined,
+    minimise,
+    plain_servos,
+)
+from sim2real.inference.correlated_noise import correlation_samples
+from sim2real.inference.least_squares import rms
+from sim2real.model import FittedEffect, JointModel, Model
+from sim2real.progress import Progress
 from sim2real.robot import Servo
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import joint_row, stated
+from sim2real.servo.parameters import BASE, COLUMNS, LOSSES, joint_row, stated
 from sim2real.servo.trace import Trace, sensor_noise, traces
+
+_SET_POINT = "rate_limit"
+_LIMIT = COLUMNS.index(f"{_SET_POINT}.limit_rad_s")
+_LOADS = {
+    BASE.index("inertia_kgm2"): COLUMNS.index("unmodelled_inertia.inertia_kgm2"),
+    BASE.index("gravity_Nm"): COLUMNS.index("gravity_load.torque_Nm"),
+}
+"""Columns of a load in addition to the stated one, and of the effects that state it."""
 
 
 def with_known_servos(case: Case, rng: np.random.Generator) -> Case:
@@ -39,7 +68,7 @@ def with_known_servos(case: Case, rng: np.random.Generator) -> Case:
         return case
     joints = {}
     for joint in case.robot.joints:
-        references = traces(case.references, joint.name)
+        references = [without_wrong_readings(t) for t in traces(case.references, joint.name)]
         now = traces(case.recordings, joint.name)
         if references and now:
             joints[joint.name] = law_of(references, now, joint.servo, rng)
@@ -49,18 +78,101 @@ def with_known_servos(case: Case, rng: np.random.Generator) -> Case:
 def law_of(
     references: list[Trace], case: Sequence[Trace], servo: Servo, rng: np.random.Generator
 ) -> JointModel:
-    """The law of the servo that made the references.
-
-    The motor's, where what it leaves decides; the linear one where repeats or rests explain more.
-    """
+    """The law of the servo that made the references; the linear one where only rests count."""
     load = references[0].load
     start, others = first_guess(references, rng)
-    servo_fit = best_of(references, np.vstack([start[None], others]))
-    if way_of(references, case) == "law":
-        noise = sensor_noise(references)
-        motor = choose_motor(references, servo_fit, servo, noise, rng)
+    plain = best_of(references, np.vstack([start[None], others]))
+    if way_of(references, case) == "rest":
+        return stated(plain.row, load)
+    motor = choose_motor(references, plain, servo, sensor_noise(references), rng)
+    if rms([motor.error]) < EXPLAINED * sensor_noise(references):
         return stated(motor.row, load, motor.effects, motor.law)
-    return stated(servo_fit.row, load)
+    row = _with_losses(motor, servo)
+    limit = float(row[_LIMIT])
+    limits = (FittedEffect(_SET_POINT, {"limit_rad_s": limit}),) if limit else ()
+    return stated(row, load, (*motor.effects, *limits), motor.law)
+
+
+def _with_losses(motor: Fit, servo: Servo) -> Array:
+    """A motor with losses and a limit of its set-point's speed, as far as references show these.
+
+    Noise that grows with speed hides in one common scale what slow motions show.
+    """
+    row, traces = motor.row.copy(), motor.problem.traces
+    row[list(_LOADS)] = 0.0
+    limit = of_effects([named(_SET_POINT)], row, motor.inertia)
+    free = {p.name: p for p in (*motor_prior(servo, traces).of(LOSSES), *motor.parameters)}
+    starts = np.tile(row, (6, 1))
+    starts[:, _LIMIT] = servo.no_load_speed_rad_s * np.array([0.0, 0.75, 1.1, 0.0, 0.75, 1.1])
+    starts[3:, [COLUMNS.index(name) for name in LOSSES[2:6]]] = 0.1
+    starts[:, COLUMNS.index(LOSSES[6])] = row[COLUMNS.index(LOSSES[6])] or 0.5
+    for parameters in ((*free.values(), *limit), tuple(free.values())):
+        problem = Changes(traces, row, parameters, motor.problem.ties)
+        noise = noise_of(problem.error, problem.speed, 1e-6)
+        times = [correlation_samples(x) for x in problem.by_trace(problem.error)]
+        problem = problem.weighted(noise, times, law_error=0.0)
+        better = fit(problem, starts, rounds=2, first=15, later=10, last=20)
+        before = problem.loss(problem.searched(row[None]), problem.error[None], 1.0, 1.0)[0]
+        if 0.5 * (before - better.loss(1.0)) > DECISION.decisive_gain:
+            return better.row
+    return motor.row
+
+
+def findings_of(
+    batch: Batch,
+    joints: Sequence[JointCase],
+    known: Sequence[Tried],
+    *,
+    rng: np.random.Generator,
+    progress: Progress = lambda share: None,
+) -> list[Finding]:
+    """What each joint of a robot is missing, or what of it has changed if it has references.
+
+    ``known`` is what a first look tried.
+    """
+    referred = [j for j, x in enumerate(joints) if x.references and x.model and x.servo]
+    if len(referred) < len(joints):
+        findings = investigate(batch, joints, known, rng=rng, progress=progress)
+    else:
+        findings = _not_searched(batch, joints, rng)
+    for count, j in enumerate(referred):
+        findings[j] = against_references(batch, joints[j], findings[j])
+        progress((count + 1) / len(referred))
+    return findings
+
+
+def _not_searched(
+    batch: Batch, joints: Sequence[JointCase], rng: np.random.Generator
+) -> list[Finding]:
+    """Findings of joints that are compared with their references: nothing as yet."""
+    rows = [joint_row(x.model, x.references[0].load, x.name) for x in joints if x.model]
+    inertia = batch.load[batch.first_signal, 0]
+    places = np.arange(len(joints))
+    plain = _evaluated(batch, plain_servos(places, np.array(rows), inertia, batch.period))
+    cases = plain_sets(plain, [joint.base for joint in joints])
+    without = unmodelled(batch, [x.traces for x in joints], joined([t.plain.fit for t in cases]))
+    search = ServoSearch(batch, DECISION.false_alarms / len(joints), rng)
+    return [
+        Finding(
+            tried=tried,
+            search=search,
+            posterior=EffectPosterior((tried.base,), np.ones(1)),
+            best=tried.plain,
+            mismatch=False,
+            unexplained=False,
+            groups=(),
+            unmodelled=one,
+            unknown=0.0,
+            excess=1.0,
+            noise=joint.noise,
+        )
+        for joint, tried, one in zip(joints, cases, without, strict=True)
+    ]
+
+
+def _evaluated(batch: Batch, servos: Servos) -> Fits:
+    """Servos as they are, with what a fit states of them."""
+    return minimise(batch, servos, iterations=1, blocks=BLOCKS)
 
 
 def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Finding:
@@ -70,35 +182,44 @@ def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Find
         return finding
     row = joint_row(joint.model, references[0].load, joint.name)
     change = what_changed(references, joint.traces, row, joint.servo, joint.step_rad or 0.0)
-    tried, plain = finding.tried, finding.tried.plain.fit.servos
-    named = [group for group in change.groups if group.probability >= DECISION.named]
-    link = change.link.effect if change.link is not None else ""
-    enriched = tried.base | {group.members[0] for group in named} - {link}
-    if enriched != tried.base:
-        # As fitted with the servo of the references: the case alone determines its servo less well.
-        servos = with_effects(plain, enriched, change.row, references[0].load.inertia_kgm2)
-        servos = replace(servos, theta=change.row[None])
-        fit = minimise(batch, servos, iterations=1, blocks=BLOCKS)
-        tried.tried[enriched] = Hypothesis(enriched, fit, float(fit.loglikelihood[0]))
     coarser = _coarser(joint)
-    coarse = tuple(
-        replace(g, probability=min(g.probability, coarser))
-        for g in finding.groups
-        if g.members == (ROUNDING,) and coarser >= DECISION.named
-    )
+    coarse = (Group((ROUNDING,), coarser),) if coarser >= DECISION.named else ()
     nameless = change.nameless > DECISION.named
     return replace(
         finding,
-        mismatch=bool(named or nameless or coarse),
-        best=tried.tried.get(enriched, tried.plain),
-        posterior=change.posterior(tried.base),
+        mismatch=bool(change.named or nameless or coarse),
+        best=_with_change(batch, finding.tried, change, references[0].load.inertia_kgm2),
+        posterior=_posterior(change, finding.tried.base),
         groups=(*coarse, *change.groups),
         unexplained=nameless,
         unknown=change.nameless,
         unmodelled=replace(finding.unmodelled, windows=change.windows),
+        excess=max(change.left / DECISION.change.misfit_ratio, 1.0),
+        sizes=change.sizes,
         link=change.link,
         place=0,
     )
+
+
+def _with_change(batch: Batch, tried: Tried, change: Change, inertia: float) -> Hypothesis:
+    """The servo of the references with what is named; a load as what is not in the stated one."""
+    if not change.named or change.link is not None:
+        return tried.plain
+    row, members = change.row.copy(), tried.base | change.effects
+    for load, effect in _LOADS.items():
+        row[effect] += row[load]
+        row[load] = 0.0
+    servos = with_effects(tried.plain.fit.servos, members, row, inertia, tried.base)
+    fit = _evaluated(batch, replace(servos, theta=row[None]))
+    return Hypothesis(members, fit, float(fit.loglikelihood[0]))
+
+
+def _posterior(change: Change, base: Set) -> EffectPosterior:
+    """The probabilities of changes as those of sets, nothing more than ``base`` among them."""
+    likely = {n: p for n, p in change.probability.items() if n not in base}
+    order = sorted(likely, key=lambda n: -likely[n])
+    sets = (base, *(base | {n} for n in order))
+    return EffectPosterior(sets, np.array([1 - sum(likely.values()), *(likely[n] for n in order)]))
 
 
 def _coarser(joint: JointCase) -> float:

@@ -9,7 +9,7 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.effect_probabilities import Group
 from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.result import Rival, Verdict
-from sim2real.effects import named
+from sim2real.effects import SET_ANEW, named
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,11 @@ def named_groups(results: Mapping[str, JointFindings]) -> list[Named]:
         for group in result.finding.groups:
             if group.probability < DECISION.named:
                 continue
-            if named(group.members[0]).component == "joint":
+            head = group.members[0]
+            if head in SET_ANEW or named(head).component == "joint":
                 groups.append(Named(group, (joint,), joint))
             else:
-                shared.setdefault(group.members[0], []).append((joint, group))
+                shared.setdefault(head, []).append((joint, group))
     mimicked: set[str] = set()
     for effect, where in shared.items():
         most_probable = max((group for _, group in where), key=lambda group: group.probability)

@@ -25,7 +25,7 @@ from sim2real.diagnose.rival_sets import design_of, separations
 from sim2real.diagnose.screening import Candidate, Screen
 from sim2real.diagnose.unmodelled import measured_only, simulated_angle
 from sim2real.diagnose.verdict import Named, named_groups, rivals, split_by_size, verdict
-from sim2real.effects import named, plain
+from sim2real.effects import SET_ANEW, named, plain
 from sim2real.findings import all_findings
 from sim2real.inference.normal import NINE_IN_TEN, Z90
 from sim2real.inference.segments import Window, robust_sd, windows
@@ -34,6 +34,7 @@ from sim2real.output import provenance
 from sim2real.recording import PER_INERTIA
 from sim2real.servo.linearised import residual_torque, smooth_speed
 from sim2real.servo.parameters import BASE
+from sim2real.units import three_digits
 
 _WORDS = {
     "position": "the residual torque depends on the joint angle",
@@ -131,15 +132,28 @@ def _combined(estimates: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate
 
 def _statement(entry: Named, parameters: Mapping[str, Estimate], result: JointFindings) -> str:
     """One sentence: the joints, the effect with the size of its parameters, and its rivals."""
-    effect = named(entry.group.members[0])
-    values = {p.name: parameters[p.name].mean for p in effect.parameters if p.name in parameters}
-    clause = f"there is {effect.plain}"
-    if len(values) == len(effect.parameters):
+    head = entry.group.members[0]
+    clause = f"there is {plain(head)}"
+    if head in SET_ANEW:
+        clause = _set_anew(head, parameters)
+    elif all(p.name in parameters for p in named(head).parameters):
+        values = {p.name: parameters[p.name].mean for p in named(head).parameters}
         per_inertia = result.joint.traces[0].load is PER_INERTIA
-        clause = effect.statement(values, per_inertia=per_inertia)
+        clause = named(head).statement(values, per_inertia=per_inertia)
     others = ", or ".join(plain(name) for name in entry.group.members[1:])
     doubt = f" (or {others}; these recordings cannot tell)" if others else ""
     return f"{', '.join(entry.joints)}: {clause}{doubt}."
+
+
+def _set_anew(name: str, parameters: Mapping[str, Estimate]) -> str:
+    """A parameter that was set anew, relative to the references: "kp x 0.51, 0.50 to 0.52"."""
+    if "ratio" in parameters:
+        x = parameters["ratio"]
+        what = name.replace("_", " ")
+        return f"{what} x {three_digits(x.mean)}, {three_digits(x.q05)} to {three_digits(x.q95)}"
+    ends = [parameters["change_s"].mean, parameters["change_s"].q05, parameters["change_s"].q95]
+    mean, low, high = (f"{1e3 * x:+.1f}" for x in ends)
+    return f"{name} {mean} ms, {low} to {high} ms"
 
 
 def _of_link(entry: Named, result: JointFindings, *, listed: int = 3) -> str:

@@ -86,11 +86,14 @@ def find(effects: Iterable[AnyEffect], name: str, where: str) -> AnyEffect:
 
 
 SET_ANEW = {
-    "kp_Nm_per_rad": "another gain of the servo",
-    "kd_Nms_per_rad": "another damping of the servo",
-    "latency_s": "another latency of the servo",
+    "kp": "another gain of the servo",
+    "kd": "another damping of the servo",
+    "latency": "another latency of the servo",
+    "stall_torque": "another stall torque of the motor",
+    "no_load_speed": "another no-load speed of the motor",
+    "load": "another load",
 }
-"""Descriptions of changed parameters of the plain servo, for sentences."""
+"""Parameters of a servo that may have changed since references, and descriptions for sentences."""
 
 
 def plain(name: str) -> str:
