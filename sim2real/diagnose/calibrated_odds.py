@@ -88,8 +88,8 @@ def odds_features(finding: Finding, unseen: Errors) -> OddsFeatures:
         named_evidence=best.evidence - servo.evidence,
         remaining_gain=gain / max(limit, 1e-9),
         groups=len(groups),
-        error_plain=1.0 if plain is None else plain.rmse / finding.noise,
-        error=1.0 if enriched is None else enriched.rmse / finding.noise,
+        error_plain=1.0 if plain is None else plain.error / finding.noise,
+        error=1.0 if enriched is None else enriched.error / finding.noise,
     )
     of_joint = {f"joint {name}": whole[name] for name in _JOINT_FEATURES}
     of_groups = []
@@ -228,8 +228,7 @@ def _add_errors(
 ) -> None:
     """Add the held-out errors of those sets of effects of each joint that have none yet.
 
-    The plain servo is refitted for prediction; others keep the noise model of their fit. A
-    recording that was designed to tell effects apart shows what the others do not, so that a fit to
+    A recording that was designed to tell effects apart shows what the others do not, so that a fit to
     these alone would not predict it even with the right effects: only ends are held out then.
     """
     jobs = [
@@ -238,17 +237,13 @@ def _add_errors(
         for members in dict.fromkeys(of_joint)
         if members not in errors[j]
     ]
-    for white in (True, False):
-        some = [(j, members) for j, members in jobs if (members == findings[j].tried.base) == white]
-        if not some:
-            continue
-        traces = [joints[j].traces for j, _ in some]
-        servos = [findings[j].tried.tried[members].fit.servos for j, members in some]
-        ends = [bool(joints[j].stated) for j, _ in some]
-        scores = held_out(traces, servos, white=white, ends=ends, device=device)
-        for (j, members), score in zip(some, scores, strict=True):
-            if score is not None:
-                errors[j][members] = score
+    if not jobs:
+        return
+    traces = [joints[j].traces for j, _ in jobs]
+    servos = [findings[j].tried.tried[members].fit.servos for j, members in jobs]
+    for (j, members), score in zip(jobs, held_out(traces, servos, device=device), strict=True):
+        if score is not None:
+            errors[j][members] = score
 
 
 def _sets_to_score(finding: Finding) -> list[Set]:
@@ -273,7 +268,7 @@ def _enriched(finding: Finding, fewer: Hypothesis, unseen: Errors) -> Hypothesis
     best, less = unseen.get(finding.best.members), unseen.get(fewer.members)
     if not finding.mismatch or finding.link is not None or best is None or less is None:
         return fewer
-    return finding.best if best.rmse < less.rmse else fewer
+    return finding.best if best.error < less.error else fewer
 
 
 def simpler(finding: Finding, enriched: Hypothesis, unseen: Errors) -> Set:
@@ -289,5 +284,5 @@ def offer(finding: Finding, enriched: Hypothesis, fewer: Set, unseen: Errors) ->
     less, more = unseen.get(fewer), unseen.get(enriched.members)
     if less is None or more is None:
         return enriched
-    better = more.rmse < (1 - DECISION.min_improvement) * less.rmse
+    better = more.error < (1 - DECISION.min_improvement) * less.error
     return enriched if better else finding.tried.tried[fewer]

@@ -10,6 +10,7 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.clock import dropped_rows
 from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.reading_noise import rest_noise, with_reading_noise
 from sim2real.diagnose.rival_sets import StatedSet, stated_sets
 from sim2real.errors import InputError
 from sim2real.identification.priors import largest_rotor
@@ -20,7 +21,7 @@ from sim2real.robot import Robot, Servo
 from sim2real.servo.batch import STEPS_PER_RADIAN, Batch, Problems
 from sim2real.servo.parameters import COLUMNS, INERTIA_LEFT_OUT
 from sim2real.servo.rollout import LONGEST_SUBSTEP_S, rollout_on
-from sim2real.servo.trace import Trace, check_runs, sensor_noise, traces
+from sim2real.servo.trace import Trace, check_runs, traces
 
 UNMODELLED_INERTIA = "unmodelled_inertia"
 """The effect that stands for the rotor of a servo whose model states none."""
@@ -95,7 +96,7 @@ def prepared(case: Case) -> list[JointCase]:
             raise InputError(recording.file, "header", found, expected)
     joints = []
     for joint in case.robot.joints:
-        data = traces(case.recordings, joint.name)
+        data = with_reading_noise(traces(case.recordings, joint.name))
         if not data:
             continue
         check_runs(data, joint.name)
@@ -103,10 +104,10 @@ def prepared(case: Case) -> list[JointCase]:
             JointCase(
                 joint.name,
                 data,
-                sensor_noise(data),
+                rest_noise(data),
                 coarse_step(data, joint.servo.position_step_rad),
                 model=case.model.joints.get(joint.name) if case.model else None,
-                references=traces(case.references, joint.name),
+                references=with_reading_noise(traces(case.references, joint.name)),
                 servo=joint.servo,
                 stated=stated_sets(case.recordings, joint.name),
                 effort=case.effort,

@@ -20,15 +20,21 @@ from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.references import against_references, with_known_servos
 from sim2real.diagnose.result import Diagnosis
 from sim2real.diagnose.rival_sets import with_open_sets
+from sim2real.diagnose.screening import NUISANCES
 from sim2real.diagnose.servo_search import ServoSearch, plain_sets
-from sim2real.diagnose.torque_speed_line import models_with_limits, on_their_lines
+from sim2real.diagnose.torque_speed_line import models_with_limits
 from sim2real.diagnose.wording import diagnosis, with_checks
-from sim2real.effects import named
 from sim2real.identification.identify import fitted_joint
 from sim2real.identification.motor_choice import EXPLAINED
-from sim2real.identification.plain_fit import refitted
 from sim2real.identification.search import errors_of
-from sim2real.identification.servo_problem import Hypothesis, Tried, joined, residual_angles
+from sim2real.identification.servo_problem import (
+    Hypothesis,
+    Servos,
+    Tried,
+    joined,
+    minimise_robustly,
+    residual_angles,
+)
 from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel, Model
 from sim2real.output import sha256_of
@@ -37,7 +43,7 @@ from sim2real.progress import Progress
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import joint_row
+from sim2real.servo.parameters import COLUMNS, joint_row
 from sim2real.servo.trace import at_one_gain, firmware_gain
 
 __all__ = ["Case", "diagnose", "diagnose_all"]
@@ -134,7 +140,7 @@ def examined(
     kept, warnings = admitted((*case.recordings, *case.references), case.robot)
     count, rng = len(case.recordings), np.random.default_rng(seed)
     case = replace(case, recordings=kept[:count], references=kept[count:], warnings=warnings)
-    case = on_their_lines(with_known_servos(_with_laws_open(case), rng), rng)
+    case = with_known_servos(_with_laws_open(case), rng)
     recorded = prepared(case)
     joints, first = _first_look(recorded, rng, device)
     if not any(joint.references for joint in joints):
@@ -185,34 +191,44 @@ def _first_look(
 ) -> tuple[list[JointCase], list[Tried]]:
     """The joints, with their motor's limit where that shows, and every set that was tried."""
     batch = Batch([joint.traces for joint in joints], device)
-    tried = _looked(batch, joints, rng)
-    lines = models_with_limits(batch, joints, [one.best for one in tried])
+    tried, search = _looked(batch, joints, rng)
+    lines = models_with_limits(search, joints, tried)
     if not lines:
         return list(joints), tried
     joints = [replace(joint, model=lines.get(j, joint.model)) for j, joint in enumerate(joints)]
     some = [joints[j] for j in lines]
     again = Batch([joint.traces for joint in some], device, period=batch.period)
-    for j, one in zip(lines, _looked(again, some, rng), strict=True):
+    for j, one in zip(lines, _looked(again, some, rng)[0], strict=True):
         tried[j] = placed(one, j)
     return joints, tried
 
 
-def _looked(batch: Batch, joints: Sequence[JointCase], rng: np.random.Generator) -> list[Tried]:
+def _looked(
+    batch: Batch, joints: Sequence[JointCase], rng: np.random.Generator
+) -> tuple[list[Tried], ServoSearch]:
+    """What was tried on each joint at first sight, and what may be asked further."""
     plain = baselines(batch, [joint.model for joint in joints])
     tried = plain_sets(plain, [joint.base for joint in joints])
+    search = ServoSearch(batch, DECISION.false_alarms, rng)
     if not all(joint.references for joint in joints):
-        first_look(ServoSearch(batch, DECISION.false_alarms, rng), tried, joints)
-    return tried
+        first_look(search, tried, joints)
+    return tried, search
 
 
 def _least_squares(joint: JointCase, servo: Hypothesis) -> Array:
-    """A servo as ``identify`` fits it: robustly, with what every servo has a little of fixed, (P,).
+    """A servo fitted robustly, with what every servo has a little of fixed, shape (P,).
 
     A fit with a free noise model takes what is missing for noise, and predicts worse.
     """
-    effects = [named(effect) for effect in sorted(servo.members)]
-    theta = servo.fit.servos.theta[0]
-    return refitted(joint.traces, theta, [e for e in effects if e.fitted and not e.everywhere]).row
+    servos = servo.fit.servos
+    owners = [COLUMNS[c].partition(".")[0] for c in servos.columns[0]]
+    fixed = [owner in {e.name for e in NUISANCES} for owner in owners]
+    columns = np.where(fixed, -1, servos.columns)
+    order = np.argsort(columns[0] < 0, kind="stable")
+    free = (x[:, order] for x in (columns, servos.unit, servos.low, servos.high))
+    start = Servos(np.zeros(1, dtype=np.int32), servos.theta, *free)
+    fit = minimise_robustly([joint.traces], start, iterations=20)
+    return np.asarray(fit.servos.theta[0])
 
 
 def _identified(

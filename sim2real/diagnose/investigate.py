@@ -95,7 +95,7 @@ class Finding:
         without = unseen.get(best - {effect}, unseen.get(self.tried.base))
         if effect not in best or enriched is None or without is None:
             return float("inf")
-        return 1 - enriched.rmse / without.rmse
+        return 1 - enriched.error / without.error
 
 
 def investigate(

@@ -184,7 +184,7 @@ class ServoSearch:
             )
             fits.update((key, fine.single(n)) for n, key in enumerate(keys))
         return [
-            Hypothesis(s, fits[tried.case, s], _evidence(fits[tried.case, s], s - tried.base))
+            Hypothesis(s, fits[tried.case, s], evidence_of(fits[tried.case, s], s - tried.base))
             for tried, s, _ in jobs
         ]
 
@@ -280,7 +280,7 @@ def plain_sets(plain: Fits, bases: Sequence[Set] | None = None) -> list[Tried]:
     for j in range(plain.count.size):
         base: Set = bases[j] if bases else frozenset()
         fit = plain.single(j)
-        hypothesis = Hypothesis(base, fit, _evidence(fit, frozenset()))
+        hypothesis = Hypothesis(base, fit, evidence_of(fit, frozenset()))
         cases.append(Tried(j, base, {base: hypothesis}))
     return cases
 
@@ -307,7 +307,7 @@ def _promised(fit: Fits) -> float:
     return -0.5 * float(fit.count[0]) * float(np.log1p(-min(share, 1 - 1e-9)))
 
 
-def _evidence(fit: Fits, added: Set) -> float:
+def evidence_of(fit: Fits, added: Set) -> float:
     """Laplace's approximation of the evidence of effects, with their prior.
 
     -inf if it diverges, or if a gear train has neither gap nor spring: what then explains the

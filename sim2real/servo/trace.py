@@ -53,6 +53,8 @@ class Trace:
         sample_delay_s: Time from ``t`` to the sampling of the angles, by which set-points take
             effect earlier relative to the angles.
         varying: Load that varies with time, as on an arm; None if it is constant.
+        spread: Standard deviation of the noise of each reading, relative to that of a joint at
+            rest, shape (T,); None where it is the same for all.
     """
 
     name: str
@@ -67,6 +69,7 @@ class Trace:
     gain_ratio: float = 1.0
     sample_delay_s: float = 0.0
     varying: VaryingLoad | None = None
+    spread: Array | None = None
 
     def window(self, length_s: float = 8.0) -> Trace:
         """The trace from the first change of the command on, for at most ``length_s`` seconds."""
@@ -75,7 +78,8 @@ class Trace:
         last = int(np.searchsorted(self.t, self.t[first] + length_s))
         part = slice(first, max(last, first + 2))
         arrays = {name: getattr(self, name)[part] for name in ("t", "command", "position", "used")}
-        return replace(self, **arrays)
+        spread = None if self.spread is None else self.spread[part]
+        return replace(self, **arrays, spread=spread)
 
     @property
     def gain_factor(self) -> float:
@@ -86,6 +90,15 @@ class Trace:
     def measured(self) -> Array:
         """Measured angles in rad, NaN where not used, shape (T,)."""
         return np.where(self.used, self.position, np.nan)
+
+    @property
+    def noise_ratio(self) -> Array:
+        """``spread``, 1 where the noise is the same for all readings, shape (T,)."""
+        return np.ones(self.t.size) if self.spread is None else self.spread
+
+    def standardised(self, values: Array) -> Array:
+        """Residuals (T,) or (T, K) with the noise of a joint at rest."""
+        return values if self.spread is None else (values.T / self.spread).T
 
     @property
     def period_s(self) -> float:

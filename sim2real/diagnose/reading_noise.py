@@ -1,0 +1,93 @@
+"""What of a joint's readings is used, and how the noise of each grows with the joint's speed.
+
+Readings that are far from their neighbours are left out. Where the times of reading jitter, as on a
+bus that is polled, the noise grows with speed: a variance of ``rest^2 + (jitter speed)^2``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from sim2real.arrays import Array
+from sim2real.inference.normal import SD_PER_MEDIAN
+from sim2real.readings import wrong_readings
+from sim2real.servo.trace import Trace, sensor_noise
+
+_ORDER = 4
+"""Order of the divided differences, which cancel polynomial motion of lower degree."""
+
+
+def with_reading_noise(traces: Sequence[Trace]) -> list[Trace]:
+    """The traces without wrong readings, with the spread of the noise of the others."""
+    if not traces:
+        return []
+    kept = [replace(t, used=t.used & ~wrong_readings(t.position)) for t in traces]
+    known = jitter_s(kept)
+    if known is None:
+        return kept
+    jitter, rest = known
+    return [replace(t, spread=np.hypot(1.0, jitter * _speed(t) / rest)) for t in kept]
+
+
+def left_out(trace: Trace) -> Array:
+    """Times of measured readings that are not used, s."""
+    return trace.t[np.isfinite(trace.position) & ~trace.used]
+
+
+def rest_noise(traces: Sequence[Trace]) -> float:
+    """Standard deviation of the noise of a joint at rest, rad."""
+    known = None if traces[0].spread is None else jitter_s(traces)
+    return sensor_noise(traces) if known is None else known[1]
+
+
+def jitter_s(
+    traces: Sequence[Trace], *, groups: int = 8, least_ratio: float = 4.0, fewest: int = 20
+) -> tuple[float, float] | None:
+    """Standard deviation of the times of reading in s, and of the noise at rest in rad.
+
+    Divided differences of neighbouring readings are sorted by speed into groups of equal size. None
+    where the noise of the fastest group is less than ``least_ratio`` times that of the slowest, as
+    that of a sensor that is read in time; no model of the servo is needed.
+    """
+    parts = [_differences(t) for t in traces]
+    noise, speed = (np.concatenate(x) for x in zip(*parts, strict=True))
+    if noise.size < groups * fewest:
+        return None
+    order = np.array_split(np.argsort(speed, kind="stable"), groups)
+    sd = np.array([SD_PER_MEDIAN * np.median(np.abs(noise[part])) for part in order])
+    typical = np.array([np.sqrt(np.mean(speed[part] ** 2)) for part in order])
+    step = max(t.quantization_step() for t in traces) / np.sqrt(12)
+    rest = max(float(np.sqrt(np.mean(noise[order[0]] ** 2))), step, 1e-6)
+    if sd[-1] < least_ratio * rest:
+        return None
+    fast = np.arange(groups) >= groups // 2
+    square = np.maximum(sd**2 - rest**2, 0.0)[fast] / typical[fast] ** 2
+    return float(np.sqrt(np.median(square))), rest
+
+
+def _differences(trace: Trace) -> tuple[Array, Array]:
+    """Divided differences of used readings, of the noise's standard deviation, and their speeds."""
+    t, angle = trace.t[trace.used], trace.position[trace.used]
+    if t.size <= _ORDER:
+        return np.zeros(0), np.zeros(0)
+    times, angles = (sliding_window_view(x, _ORDER + 1) for x in (t, angle))
+    unit = times[:, 1:2] - times[:, :1]
+    gaps = [
+        (times[:, k : k + 1] - np.delete(times, k, axis=1)) / unit for k in range(_ORDER + 1)
+    ]
+    weight = 1 / np.stack([gap.prod(axis=1) for gap in gaps], axis=1)
+    weight /= np.linalg.norm(weight, axis=1, keepdims=True)
+    speed = np.abs(angles[:, -1] - angles[:, 0]) / (times[:, -1] - times[:, 0])
+    return np.sum(weight * (angles - angles[:, :1]), axis=1), speed
+
+
+def _speed(trace: Trace, *, samples: int = 5) -> Array:
+    """Mean speed of the measured angle around each sample, rad/s, shape (T,)."""
+    angle = np.interp(trace.t, trace.t[trace.used], trace.position[trace.used])
+    speed = np.abs(np.gradient(angle, trace.t))
+    padded = np.pad(speed, samples // 2, mode="edge")
+    return np.asarray(sliding_window_view(padded, samples).mean(axis=1))
