@@ -69,6 +69,8 @@ def odds_features(finding: Finding, unseen: Errors) -> OddsFeatures:
     tried, best, link, without = finding.tried, finding.best, finding.link, finding.unmodelled
     no_findings = {ROUNDING, link.effect if link is not None else ROUNDING}
     groups = [g for g in finding.groups if no_findings.isdisjoint(g.members)]
+    changes = [finding.changes(unseen, g.members[0]) for g in groups]
+    matter = sum(change >= DECISION.negligible for change in changes)
     smooth = without.smooth.evidence(float(best.fit.count[0]))
     # Evidence by which a smooth function, which names no effect, exceeds the best set.
     lead = smooth - (best.evidence - tried.plain.evidence)
@@ -87,20 +89,20 @@ def odds_features(finding: Finding, unseen: Errors) -> OddsFeatures:
         uncatalogued_lead=lead,
         named_evidence=best.evidence - servo.evidence,
         remaining_gain=gain / max(limit, 1e-9),
-        groups=len(groups),
+        groups=matter,
         error_plain=1.0 if plain is None else plain.error / finding.noise,
         error=1.0 if enriched is None else enriched.error / finding.noise,
     )
     of_joint = {f"joint {name}": whole[name] for name in _JOINT_FEATURES}
     of_groups = []
-    for group in groups:
+    for group, change in zip(groups, changes, strict=True):
         head = group.members[0]
         fewer = tried.tried.get(best.members - {head}, tried.plain)
         features = scaled(
             probability=group.probability,
             evidence=best.evidence - fewer.evidence,
-            error_change=finding.changes(unseen, head),
-            groups=len(groups) - 1,
+            error_change=change,
+            groups=matter - (change >= DECISION.negligible),
             excess=finding.excess,
             uncatalogued_lead=lead,
         )

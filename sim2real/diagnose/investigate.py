@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim2real.diagnose.baseline import plain_again
 from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.effect_probabilities import EffectPosterior, Group, posteriors
 from sim2real.diagnose.effect_search import (
     search,
     search_again,
+    search_freely,
     size_in_noise,
     states_load,
     with_rotors,
@@ -108,16 +108,23 @@ def investigate(
 ) -> list[Finding]:
     """Find what each joint of a robot is missing; ``known`` is what a first look tried."""
     level = DECISION.false_alarms / len(joints)
-    findings = _pass(batch, joints, known, level, rng, lambda share: progress(0.7 * share))
+
+    def searching(share: float) -> None:
+        progress(0.6 * share)
+
+    cases, problem = search(batch, joints, known, level=level, rng=rng, progress=searching)
+    findings = _findings(batch, joints, cases, problem, rng)
+    progress(0.7)
     # Where structure stays, it is no sensor's noise: the noise model must then be free.
     again = [j for j, finding in enumerate(findings) if finding.excess > DECISION.structured_excess]
     if again:
         some = [joints[j] for j in again]
         data = [joint.traces for joint in some]
         free = Batch(data, batch.device, batch.threads, bounded=False, period=batch.period)
-        tried = [findings[j].tried for j in again]
+        before = [findings[j].tried for j in again]
         level = DECISION.false_alarms / len(again)
-        second = _pass(free, some, tried, level, rng, lambda share: progress(0.7 + 0.3 * share))
+        cases, problem = search_freely(free, some, before, level=level, rng=rng)
+        second = _findings(free, some, cases, problem, rng)
         for j, finding in zip(again, second, strict=True):
             own = replace(placed(finding.tried, j), case=finding.tried.case)
             mismatch = finding.mismatch or findings[j].mismatch
@@ -138,25 +145,14 @@ def placed(tried: Tried, joint: int) -> Tried:
     return replace(tried, case=joint, tried=moved)
 
 
-def _pass(
+def _findings(
     batch: Batch,
     joints: Sequence[JointCase],
-    known: Sequence[Tried],
-    level: float,
+    cases: Sequence[Tried],
+    problem: ServoSearch,
     rng: np.random.Generator,
-    progress: Progress,
 ) -> list[Finding]:
-    """The findings with the noise model of a batch."""
-    plain = plain_again(batch, known, [joint.base for joint in joints])
-    progress(0.1)
-    best_known = [tried.best for tried in known]
-
-    def searching(share: float) -> None:
-        progress(0.1 + 0.8 * share)
-
-    cases, problem = search(
-        batch, joints, plain, best_known, level=level, rng=rng, progress=searching
-    )
+    """The findings with the noise model of a batch, from what was tried with it."""
     data = [joint.traces for joint in joints]
     _, excesses = beyond_noise(batch, data, joined([tried.best.fit for tried in cases]))
     structured = np.flatnonzero(np.array(excesses) > DECISION.structured_excess)
@@ -166,7 +162,6 @@ def _pass(
     best = [tried.tried[p.sets[0]] for tried, p in zip(cases, probable, strict=True)]
     without = unmodelled(batch, data, joined([tried.plain.fit for tried in cases]))
     _, excesses = beyond_noise(batch, data, joined([h.fit for h in best]))
-    progress(1.0)
     return [
         Finding(
             tried=tried,

@@ -76,9 +76,7 @@ def _differences(trace: Trace) -> tuple[Array, Array]:
         return np.zeros(0), np.zeros(0)
     times, angles = (sliding_window_view(x, _ORDER + 1) for x in (t, angle))
     unit = times[:, 1:2] - times[:, :1]
-    gaps = [
-        (times[:, k : k + 1] - np.delete(times, k, axis=1)) / unit for k in range(_ORDER + 1)
-    ]
+    gaps = [(times[:, k : k + 1] - np.delete(times, k, axis=1)) / unit for k in range(_ORDER + 1)]
     weight = 1 / np.stack([gap.prod(axis=1) for gap in gaps], axis=1)
     weight /= np.linalg.norm(weight, axis=1, keepdims=True)
     speed = np.abs(angles[:, -1] - angles[:, 0]) / (times[:, -1] - times[:, 0])
