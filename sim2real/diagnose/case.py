@@ -127,7 +127,7 @@ def coarse_step(traces: Sequence[Trace], stated_rad: float) -> float | None:
     return min(steps) if coarse and max(steps) <= 1.1 * min(steps) else None
 
 
-_DRIFT = COLUMNS.index("clock_drift.s_per_s")
+_DRIFT, _LATENCY = COLUMNS.index("clock_drift.s_per_s"), COLUMNS.index("latency_s")
 
 
 def on_one_clock(
@@ -143,7 +143,8 @@ def on_one_clock(
     information, slope = np.zeros((len(files), len(files))), np.zeros(len(files))
     for joint, servo in zip(joints, best, strict=True):
         place = [files.index(trace.file) for trace in joint.traces]
-        known, pull = _known(batch, servo, len(place))
+        known, pull = _known(batch, servo, len(place), _DRIFT)
+        pull += known.sum(axis=1) * servo.fit.servos.theta[0, _DRIFT]
         information[np.ix_(place, place)] += known
         slope[place] += pull
     inverse = np.linalg.pinv(information, rcond=1e-10, hermitian=True)
@@ -172,15 +173,40 @@ def _simulated(trace: Trace, theta: Array) -> Array:
     return np.asarray(rollout_on(trace, theta[None], substep_s=step)[0])
 
 
+def with_own_latency(
+    batch: Batch, joint: JointCase, servo: Hypothesis, *, sd_s: float = 5e-3
+) -> JointCase:
+    """The joint, each of its recordings with a latency of its own about a common one.
+
+    Where readings are not taken at regular times, the commands of a recording begin some
+    milliseconds early or late; ``sd_s`` is the prior standard deviation. ``servo`` is what explains
+    the joint as yet.
+    """
+    if all(trace.spread is None for trace in joint.traces):
+        return joint
+    information, slope = _known(batch, servo, len(joint.traces), _LATENCY)
+    later = np.linalg.solve(information + np.eye(len(slope)) / sd_s**2, slope)
+    later -= later.mean()
+    moved = [
+        replace(trace, sample_delay_s=trace.sample_delay_s - float(delay))
+        for trace, delay in zip(joint.traces, later, strict=True)
+    ]
+    return replace(joint, traces=moved)
+
+
 def _known(
-    batch: Batch, best: Hypothesis, recordings: int, *, step: float = 1e-4
+    batch: Batch, best: Hypothesis, recordings: int, column: int, *, step: float = 1e-4
 ) -> tuple[Array, Array]:
-    """What a joint tells of a drift in each of its recordings: information (R, R), slope (R,)."""
+    """What a joint tells of a change of a parameter in each of its recordings by itself.
+
+    Returns:
+        Information (R, R) and slope (R,) of the log-likelihood, the other parameters at their best.
+    """
     servos = best.fit.servos
     own = variants(servos)
-    kept = [0, *(1 + np.flatnonzero(servos.columns[0] != _DRIFT)), 0]
+    kept = [0, *(1 + np.flatnonzero(servos.columns[0] != column)), 0]
     theta, scale = own.theta[:, kept], own.scale[:, kept]
-    theta[0, -1, _DRIFT] += step
+    theta[0, -1, column] += step
     scale[0, -1] = 1 / step
     problem = Problems(servos.joint, theta, scale)
     gram = batch.evaluate(problem, autoregression=best.fit.autoregression).gram[0]
@@ -189,5 +215,4 @@ def _known(
     across = gram[:, 1:-1, -1].T  # shape (F, R)
     taken = across.T @ np.linalg.pinv(shared, rcond=1e-12, hermitian=True)
     information = np.diag(gram[:, -1, -1]) - taken @ across
-    slope = -(gram[:, 0, -1] - taken @ gram[:, 0, 1:-1].sum(axis=0))
-    return information, slope + information.sum(axis=1) * servos.theta[0, _DRIFT]
+    return information, -(gram[:, 0, -1] - taken @ gram[:, 0, 1:-1].sum(axis=0))

@@ -141,29 +141,29 @@ def examined(
     count, rng = len(case.recordings), np.random.default_rng(seed)
     case = replace(case, recordings=kept[:count], references=kept[count:], warnings=warnings)
     case = with_known_servos(_with_laws_open(case), rng)
-    recorded = prepared(case)
-    joints, first = _first_look(recorded, rng, device)
+    joints, first = _first_look(prepared(case), rng, device)
     if not any(joint.references for joint in joints):
         batch = Batch([joint.traces for joint in joints], device)
         joints = on_one_clock(batch, joints, [tried.best for tried in first])
     batch = Batch([joint.traces for joint in joints], device)
-    findings = investigate(
+    joints, findings = investigate(
         batch, joints, first, rng=rng, progress=lambda share: progress(0.8 * share)
     )
+    batch = Batch([joint.traces for joint in joints], device)
     findings = [against_references(batch, *pair) for pair in zip(joints, findings, strict=True)]
     found = judged_and_offered(joints, findings, device)
     plain = [one.finding.tried.plain for one in found]
     before = residual_angles(batch, joined([servo.fit for servo in plain]))
     after = residual_angles(batch, joined([one.offered.fit for one in found]))
-    robust = [_least_squares(*pair) for pair in zip(recorded, plain, strict=True)]
+    robust = [_least_squares(*pair) for pair in zip(joints, plain, strict=True)]
     return case, [
         replace(
             one,
             before=before[j],
             after=after[j],
             least_squares=robust[j],
-            robust=_least_squares(recorded[j], one.offered) if one.adds_effects else robust[j],
-            identified=_identified(recorded[j], one, plain[j], seed),
+            robust=_least_squares(joints[j], one.offered) if one.adds_effects else robust[j],
+            identified=_identified(joints[j], one, plain[j], seed),
         )
         for j, one in enumerate(found)
     ]
