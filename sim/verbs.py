@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from sim2real.errors import InputError, check_choice, check_effort, check_whole
+from sim2real.errors import InputError, check_choice, check_effort, check_level, check_whole
 from sim2real.verbs import model_of, recordings_of, recordings_to_fit, robot_of
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ def diagnose(
     in_water: File | None = None,
     device: str = "cpu",
     effort: float = 1.0,
+    interval: float = 0.9,
     seed: int = 0,
 ) -> Diagnosis:
     """Find the physics that a fitted servo leaves out, or, from swims, that the body does.
@@ -55,6 +56,7 @@ def diagnose(
         device: Device that simulates the fluid, cpu or cuda:0.
         effort: Servos only. Multiple of the simulation budget of the search for combinations of
             effects; the diagnosis states which joints have spent it.
+        interval: Servos only. Probability of the intervals of parameters.
         seed: Seed of the bootstraps.
 
     Raises:
@@ -62,6 +64,7 @@ def diagnose(
     """
     check_whole("diagnose", "seed", seed)
     check_effort("diagnose", effort)
+    check_level("diagnose", interval)
     read, machine = recordings_to_fit(recordings), robot_of(robot)
     earlier = recordings_to_fit(references) if references else []
     start = None if model is None else model_of(model)
@@ -76,7 +79,8 @@ def diagnose(
         with progress_bar("diagnose") as progress:
             return diagnose_servos(
                 read, machine, model=start, references=earlier, earlier=diagnosis,
-                negligible=negligible, effort=effort, seed=seed, progress=progress,
+                negligible=negligible, effort=effort, interval=interval, seed=seed,
+                progress=progress,
             )  # fmt: skip
     if len(swims) < len(read):
         bench_recording = next(recording for recording in read if recording not in swims)

@@ -162,15 +162,25 @@ def judged(finding: Finding, unseen: Errors, *, link_probability: float = 0.0) -
     if any(named(g.members[0]).never_named for g, _ in features.groups):
         unknown = max(unknown, DECISION.uncatalogued_probability)
 
-    def stated(if_known: float) -> float:
-        """Probability that the catalogue has what is missing, and that it is this effect."""
-        probability = (1 - unknown) * if_known
+    def stated(if_known: float, change: float = 0.0) -> float:
+        """Probability that the catalogue has what is missing, and that it is this effect.
+
+        What is unknown explains no more than the error that the effect leaves: the larger the
+        share by which the effect lowers it, the less it can stand in for the effect.
+        """
+        remains = float(np.clip(1 - change, 0.0, 1.0)) if np.isfinite(change) else 1.0
+        probability = (1 - unknown * remains) * if_known
         # Names stated with 0.9 and more must be right that often.
         certain = probability >= DECISION.min_certain_probability
         return probability if certain else min(probability, DECISION.max_uncertain_probability)
 
     groups = [
-        replace(g, probability=stated(ODDS["effect"].probability(of_name)))
+        replace(
+            g,
+            probability=stated(
+                ODDS["effect"].probability(of_name), finding.changes(unseen, g.members[0])
+            ),
+        )
         for g, of_name in features.groups
         if not named(g.members[0]).never_named
         and not includes_zero(finding.tried, finding.best, g.members[0])
@@ -228,11 +238,7 @@ def _add_errors(
     sets: Sequence[Sequence[Set]],
     device: str,
 ) -> None:
-    """Add the held-out errors of those sets of effects of each joint that have none yet.
-
-    A recording that was designed to tell effects apart shows what the others do not, so that a fit to
-    these alone would not predict it even with the right effects: only ends are held out then.
-    """
+    """Add the held-out errors of those sets of effects of each joint that have none yet."""
     jobs = [
         (j, members)
         for j, of_joint in enumerate(sets)
@@ -243,7 +249,8 @@ def _add_errors(
         return
     traces = [joints[j].traces for j, _ in jobs]
     servos = [findings[j].tried.tried[members].fit.servos for j, members in jobs]
-    for (j, members), score in zip(jobs, held_out(traces, servos, device=device), strict=True):
+    scores = held_out(traces, servos, device=device)
+    for (j, members), score in zip(jobs, scores, strict=True):
         if score is not None:
             errors[j][members] = score
 

@@ -157,14 +157,14 @@ def on_one_clock(
     for joint, servo in zip(joints, best, strict=True):
         moved = []
         for trace in joint.traces:
-            angle = _simulated(trace, servo.fit.servos.theta[0])
+            angle = simulated(trace, servo.fit.servos.theta[0])
             late = (trace.t - trace.t[0]) * np.gradient(angle, trace.t)
             moved.append(replace(trace, position=trace.position + drift[trace.file] * late))
         corrected.append(replace(joint, traces=moved))
     return corrected
 
 
-def _simulated(trace: Trace, theta: Array) -> Array:
+def simulated(trace: Trace, theta: Array) -> Array:
     """Angles in rad of a servo (P,) on the command and load of a recording, shape (T,)."""
     kp, kd, inertia = float(theta[0]), float(theta[1]), trace.load.inertia_kgm2
     inertia += float(theta[INERTIA_LEFT_OUT])

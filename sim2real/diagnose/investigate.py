@@ -164,8 +164,8 @@ def _findings(
     """The findings with the noise model of a batch, from what was tried with it."""
     data = [joint.traces for joint in joints]
     _, excesses = beyond_noise(batch, data, joined([tried.best.fit for tried in cases]))
-    structured = np.flatnonzero(np.array(excesses) > DECISION.structured_excess)
-    search_again(problem, [cases[j] for j in structured])
+    structured = [x for x, e in zip(cases, excesses, strict=True) if e > DECISION.structured_excess]
+    search_again(problem, structured)
     cases = with_rotors(problem, cases, joints)
     probable = posteriors(cases, rng)
     best = [tried.tried[p.sets[0]] for tried, p in zip(cases, probable, strict=True)]

@@ -6,7 +6,7 @@ bus that is polled, the noise grows with speed: a variance of ``rest^2 + (jitter
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -33,9 +33,65 @@ def with_reading_noise(traces: Sequence[Trace]) -> list[Trace]:
     return [replace(t, spread=np.hypot(1.0, jitter * _speed(t) / rest)) for t in kept]
 
 
-def left_out(trace: Trace) -> Array:
-    """Times of measured readings that are not used, s."""
-    return trace.t[np.isfinite(trace.position) & ~trace.used]
+def without_releases(
+    trace: Trace,
+    simulated: Array,
+    *,
+    least_rad: float = 0.25,
+    shortest_s: float = 0.05,
+    recovery_s: float = 0.3,
+    towards_rad_s: float = 0.1,
+) -> Trace:
+    """The trace without the times in which the servo has no torque although it is enabled.
+
+    There the shaft does not follow: for ``shortest_s`` it is further than ``least_rad`` from where
+    a fitted servo would be (``simulated``, in rad, shape (T,)) and does not turn towards that.
+    Until ``recovery_s`` after it is there again, nothing is used.
+    """
+    angle = np.interp(trace.t, trace.t[trace.used], trace.position[trace.used])
+    away = simulated - angle
+    speed = np.gradient(angle, trace.t)
+    lost = (np.abs(away) > least_rad) & (speed * np.sign(away) < towards_rad_s)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]])))
+    used = trace.used.copy()
+    for first, last in edges.reshape(-1, 2):
+        if trace.t[last - 1] - trace.t[first] < shortest_s:
+            continue
+        back = np.flatnonzero((np.abs(away) < least_rad) & (trace.t > trace.t[last - 1]))
+        until = trace.t[back[0]] + recovery_s if back.size else np.inf
+        since = trace.t[first] - shortest_s
+        used &= (trace.t < since) | (trace.t > until)
+    return trace if (used == trace.used).all() else replace(trace, used=used)
+
+
+def left_out(traces: Sequence[Trace]) -> Iterator[str]:
+    """Sentences about readings that are not used, and about noise that grows with speed."""
+    for trace in traces:
+        wrong = wrong_readings(trace.position) & np.isfinite(trace.position)
+        if wrong.any():
+            count = int(wrong.sum())
+            readings = "one reading" if count == 1 else f"{count} readings"
+            yield (
+                f"{readings} of {trace.name} left out, far from those before and after: "
+                f"{_at(trace.t[wrong])}"
+            )
+        lost = np.isfinite(trace.position) & ~trace.used & ~wrong
+        if lost.any():
+            first, last = trace.t[lost][[0, -1]]
+            yield (
+                f"{trace.name} left out from {first:.2f} to {last:.2f} s: the servo does not turn "
+                "towards its set-point, as without torque."
+            )
+    known = None if traces[0].spread is None else jitter_s(traces)
+    if known is not None:
+        jitter = 1e3 * known[0]
+        yield f"the noise grows with speed, as of readings whose times vary by {jitter:.1f} ms."
+
+
+def _at(times: Array, *, most: int = 3) -> str:
+    """Some times in words."""
+    more = ", ..." if times.size > most else ""
+    return f"at {', '.join(f'{t:.2f}' for t in times[:most])}{more} s."
 
 
 def rest_noise(traces: Sequence[Trace]) -> float:

@@ -224,7 +224,7 @@ class ServoSearch:
                 self._screens.pop((tried.case, h.members), None)
 
     def compared(self, tried: Tried) -> list[Hypothesis]:
-        """The sets that the diagnosis compares: the best, the best without each effect, its rivals."""
+        """The sets that are compared: the best, the best without each effect, its rivals."""
         best = tried.best
         near = sorted(tried.tried.values(), key=lambda h: -h.evidence)[: self.limits.rivals]
         scaled = _GAIN in best.members

@@ -91,7 +91,7 @@ def _limits(
 
 
 def _fitted(search: ServoSearch, tried: Tried, members: Set, row: Array) -> Hypothesis:
-    """The fit of a joint with these effects, from a row (P,), the motor's line free if it has one."""
+    """The fit of a joint with these effects from a row (P,), whose line is free if it has one."""
     batch, j = search.batch, tried.case
     inertia = batch.load[batch.first_signal[j], :1]
     plain = plain_servos(np.array([j]), row[None], inertia, batch.period, free_line=True)

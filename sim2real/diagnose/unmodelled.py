@@ -143,7 +143,7 @@ def _windows(residual: Array, traces: Sequence[Trace], before: Windows | None) -
 
 
 def measured_only(residual: Array, traces: Sequence[Trace]) -> list[Array]:
-    """The residual (R, T) of each recording as of a joint at rest, NaN where not used, (T,) each."""
+    """Standardised residuals (R, T) of the recordings, NaN where not used, (T,) each."""
     pairs = zip(residual, traces, strict=False)
     return [np.where(t.used, t.standardised(r[: t.t.size]), np.nan) for r, t in pairs]
 

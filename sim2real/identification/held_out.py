@@ -94,15 +94,14 @@ def held_out(
     start = stacked([servos[n] for n, _ in pairs]).of_joints(range(len(pairs)))
     fits = minimise_robustly([fitted for _, (fitted, _) in pairs], start, device=device)
     scoring = Batch([scored for _, (_, scored) in pairs], device, white=True)
-    rows: list[list[tuple[Array, Array, Array]]] = [[] for _ in joints]
+    residuals, standard, theta = (list[list[Array]]([] for _ in joints) for _ in range(3))
     errors = residual_angles(scoring, fits)
-    for (n, (_, scored)), error, theta in zip(pairs, errors, fits.servos.theta, strict=True):
-        left = [e[: t.t.size] for e, t in zip(error, scored, strict=False)]
-        plain = [e[t.used] for e, t in zip(left, scored, strict=True)]
-        standard = [t.standardised(e)[t.used] for e, t in zip(left, scored, strict=True)]
-        rows[n].append((np.concatenate(plain), np.concatenate(standard), theta))
-    found: list[Unseen | None] = []
-    for of_joint in rows:
-        plain, standard, theta = zip(*of_joint, strict=True) if of_joint else ((), (), ())
-        found.append(Unseen(tuple(plain), np.array(theta), tuple(standard)) if plain else None)
-    return found
+    for (n, (_, scored)), error, row in zip(pairs, errors, fits.servos.theta, strict=True):
+        left = [(t, e[: t.t.size]) for t, e in zip(scored, error, strict=False)]
+        residuals[n].append(np.concatenate([e[t.used] for t, e in left]))
+        standard[n].append(np.concatenate([t.standardised(e)[t.used] for t, e in left]))
+        theta[n].append(row)
+    return [
+        Unseen(tuple(plain), np.array(rows), tuple(relative)) if plain else None
+        for plain, rows, relative in zip(residuals, theta, standard, strict=True)
+    ]
