@@ -102,7 +102,7 @@ def odds_features(finding: Finding, unseen: Errors) -> OddsFeatures:
             probability=group.probability,
             evidence=best.evidence - fewer.evidence,
             error_change=change,
-            groups=matter - (change >= DECISION.negligible),
+            groups=_as_large(changes, change) - 1,
             excess=finding.excess,
             uncatalogued_lead=lead,
         )
@@ -117,6 +117,13 @@ def odds_features(finding: Finding, unseen: Errors) -> OddsFeatures:
             single_joint=len(link.shares) == 1,
         )
     return OddsFeatures(tuple(of_groups), whole, of_link)
+
+
+def _as_large(changes: Sequence[float], change: float) -> float:
+    """Number of groups that lower the error as much as one of them; smaller ones count in part."""
+    if not np.isfinite(change) or change <= 0:
+        return float(len(changes))
+    return float(sum(np.clip(other / change, 0.0, 1.0) for other in changes))
 
 
 def judged_together(findings: Sequence[Finding], unseen: Sequence[Errors]) -> list[Finding]:

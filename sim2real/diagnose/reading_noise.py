@@ -19,6 +19,8 @@ from sim2real.servo.trace import Trace, sensor_noise
 
 _ORDER = 4
 """Order of the divided differences, which cancel polynomial motion of lower degree."""
+_GROUPS, _FEWEST = 8, 20
+"""Groups of readings of similar speed, and readings that each has at least."""
 
 
 def with_reading_noise(traces: Sequence[Trace]) -> list[Trace]:
@@ -100,29 +102,52 @@ def rest_noise(traces: Sequence[Trace]) -> float:
     return sensor_noise(traces) if known is None else known[1]
 
 
-def jitter_s(
-    traces: Sequence[Trace], *, groups: int = 8, least_ratio: float = 4.0, fewest: int = 20
-) -> tuple[float, float] | None:
+def jitter_s(traces: Sequence[Trace], *, least_ratio: float = 4.0) -> tuple[float, float] | None:
     """Standard deviation of the times of reading in s, and of the noise at rest in rad.
 
-    Divided differences of neighbouring readings are sorted by speed into groups of equal size. None
-    where the noise of the fastest group is less than ``least_ratio`` times that of the slowest, as
-    that of a sensor that is read in time; no model of the servo is needed.
+    From divided differences of neighbouring readings, so that no model of the servo is needed. None
+    where the noise of the fastest readings is less than ``least_ratio`` times that of the slowest,
+    as that of a sensor that is read in time.
     """
     parts = [_differences(t) for t in traces]
     noise, speed = (np.concatenate(x) for x in zip(*parts, strict=True))
-    if noise.size < groups * fewest:
+    if noise.size < _GROUPS * _FEWEST:
         return None
-    order = np.array_split(np.argsort(speed, kind="stable"), groups)
-    sd = np.array([SD_PER_MEDIAN * np.median(np.abs(noise[part])) for part in order])
-    typical = np.array([np.sqrt(np.mean(speed[part] ** 2)) for part in order])
+    slowest = np.argsort(speed, kind="stable")[: noise.size // _GROUPS]
     step = max(t.quantization_step() for t in traces) / np.sqrt(12)
-    rest = max(float(np.sqrt(np.mean(noise[order[0]] ** 2))), step, 1e-6)
-    if sd[-1] < least_ratio * rest:
-        return None
-    fast = np.arange(groups) >= groups // 2
-    square = np.maximum(sd**2 - rest**2, 0.0)[fast] / typical[fast] ** 2
-    return float(np.sqrt(np.median(square))), rest
+    rest = max(float(np.sqrt(np.mean(noise[slowest] ** 2))), step, 1e-6)
+    times, fastest = _times_s(noise, speed, rest)
+    return (times, rest) if fastest > least_ratio * rest else None
+
+
+def _times_s(noise: Array, speed: Array, rest: float) -> tuple[float, float]:
+    """Standard deviation of times in s that makes such noise (N,), and the noise of the fastest."""
+    order = np.array_split(np.argsort(speed, kind="stable"), _GROUPS)[_GROUPS // 2 :]
+    sd = np.array([SD_PER_MEDIAN * np.median(np.abs(noise[part])) for part in order])
+    typical = np.array([np.mean(speed[part] ** 2) for part in order])
+    return float(np.sqrt(np.median(np.maximum(sd**2 - rest**2, 0.0) / typical))), float(sd[-1])
+
+
+def with_residual_noise(traces: Sequence[Trace], residuals: Sequence[Array]) -> list[Trace]:
+    """The traces with the spread that the residuals (T,) of the best fit as yet have, if larger.
+
+    Times at which commands take effect vary as well, and so does each recording's latency.
+    """
+    known = jitter_s(traces)
+    if known is None:
+        return list(traces)
+    left, speeds = list[Array](), [_speed(trace) for trace in traces]
+    for trace, residual in zip(traces, residuals, strict=True):
+        angle = np.interp(trace.t, trace.t[trace.used], trace.position[trace.used])
+        turning = np.gradient(angle, trace.t)
+        shift = float(residual @ turning / max(turning @ turning, 1e-12))
+        left.append((residual - shift * turning)[trace.used])
+    moving = np.concatenate([v[t.used] for v, t in zip(speeds, traces, strict=True)])
+    jitter, rest = max(_times_s(np.concatenate(left), moving, known[1])[0], known[0]), known[1]
+    return [
+        replace(t, spread=np.hypot(1.0, jitter * speed / rest))
+        for t, speed in zip(traces, speeds, strict=True)
+    ]
 
 
 def _differences(trace: Trace) -> tuple[Array, Array]:
