@@ -47,7 +47,7 @@ def diagnose(
         model: A model to start from; swims need one (MODEL.json).
         references: Earlier recordings of the same robot; only what has changed since is reported.
         diagnosis: Servos only. A diagnosis of some of the recordings (diagnosis.json): the sets of
-            effects that it left open are tried again, and the ends of recordings are held out.
+            effects that it left open are tried again.
         negligible: An effect that changes the held-out error by less than this share is listed and
             does not change the verdict.
         in_water: Swims only. The fluid first simulates the recorded commands (a minute on a GPU),
