@@ -116,7 +116,8 @@ def search_freely(
             for h in problem.compared(old)
         ]
     )
-    selection.select(problem, cases, exhausted=problem.exhausted)
+    breadth = selection.Breadth(added=3, rivals=2)
+    selection.select(problem, cases, breadth, exhausted=problem.exhausted)
     return cases, problem
 
 

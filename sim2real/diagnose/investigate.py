@@ -164,7 +164,13 @@ def _findings(
     """The findings with the noise model of a batch, from what was tried with it."""
     data = [joint.traces for joint in joints]
     _, excesses = beyond_noise(batch, data, joined([tried.best.fit for tried in cases]))
-    structured = [x for x, e in zip(cases, excesses, strict=True) if e > DECISION.structured_excess]
+    structured = [
+        tried
+        for tried, joint, left in zip(cases, joints, excesses, strict=True)
+        # Where readings come at irregular times the search goes on with free noise anyway.
+        if left > DECISION.structured_excess
+        and (batch.least_gain == 0 or joint.traces[0].spread is None)
+    ]
     search_again(problem, structured)
     cases = with_rotors(problem, cases, joints)
     probable = posteriors(cases, rng)

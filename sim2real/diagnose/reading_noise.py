@@ -17,8 +17,8 @@ from sim2real.inference.normal import SD_PER_MEDIAN
 from sim2real.readings import wrong_readings
 from sim2real.servo.trace import Trace, sensor_noise
 
-_ORDER = 4
-"""Order of the divided differences, which cancel polynomial motion of lower degree."""
+_ORDERS = (4, 5, 6)
+"""Orders of divided differences, which cancel polynomial motion of lower degree."""
 _GROUPS, _FEWEST = 8, 20
 """Groups of readings of similar speed, and readings that each has at least."""
 
@@ -102,14 +102,27 @@ def rest_noise(traces: Sequence[Trace]) -> float:
     return sensor_noise(traces) if known is None else known[1]
 
 
-def jitter_s(traces: Sequence[Trace], *, least_ratio: float = 4.0) -> tuple[float, float] | None:
+def jitter_s(
+    traces: Sequence[Trace], *, least_ratio: float = 4.0, least_share: float = 0.05
+) -> tuple[float, float] | None:
     """Standard deviation of the times of reading in s, and of the noise at rest in rad.
 
-    From divided differences of neighbouring readings, so that no model of the servo is needed. None
-    where the noise of the fastest readings is less than ``least_ratio`` times that of the slowest,
-    as that of a sensor that is read in time.
+    From divided differences of neighbouring readings, so that no model of the servo is needed;
+    motion can only increase them, so that the order with the smallest ones counts. None where the
+    noise of the fastest readings is less than ``least_ratio`` times that of the slowest, or times
+    vary by less than ``least_share`` of a period, as those of a sensor that is read in time.
     """
-    parts = [_differences(t) for t in traces]
+    found = [_of_order(traces, order, least_ratio) for order in _ORDERS]
+    smallest = min(found, key=lambda one: -1.0 if one is None else one[0])
+    period = float(np.median([t.period_s for t in traces]))
+    return smallest if smallest is not None and smallest[0] > least_share * period else None
+
+
+def _of_order(
+    traces: Sequence[Trace], order: int, least_ratio: float
+) -> tuple[float, float] | None:
+    """``jitter_s`` from differences of one order."""
+    parts = [_differences(t, order) for t in traces]
     noise, speed = (np.concatenate(x) for x in zip(*parts, strict=True))
     if noise.size < _GROUPS * _FEWEST:
         return None
@@ -150,14 +163,14 @@ def with_residual_noise(traces: Sequence[Trace], residuals: Sequence[Array]) -> 
     ]
 
 
-def _differences(trace: Trace) -> tuple[Array, Array]:
+def _differences(trace: Trace, order: int) -> tuple[Array, Array]:
     """Divided differences of used readings, of the noise's standard deviation, and their speeds."""
     t, angle = trace.t[trace.used], trace.position[trace.used]
-    if t.size <= _ORDER:
+    if t.size <= order:
         return np.zeros(0), np.zeros(0)
-    times, angles = (sliding_window_view(x, _ORDER + 1) for x in (t, angle))
+    times, angles = (sliding_window_view(x, order + 1) for x in (t, angle))
     unit = times[:, 1:2] - times[:, :1]
-    gaps = [(times[:, k : k + 1] - np.delete(times, k, axis=1)) / unit for k in range(_ORDER + 1)]
+    gaps = [(times[:, k : k + 1] - np.delete(times, k, axis=1)) / unit for k in range(order + 1)]
     weight = 1 / np.stack([gap.prod(axis=1) for gap in gaps], axis=1)
     weight /= np.linalg.norm(weight, axis=1, keepdims=True)
     speed = np.abs(angles[:, -1] - angles[:, 0]) / (times[:, -1] - times[:, 0])
