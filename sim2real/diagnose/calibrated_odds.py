@@ -172,10 +172,10 @@ def judged(finding: Finding, unseen: Errors, *, link_probability: float = 0.0) -
     def stated(if_known: float, change: float = 0.0) -> float:
         """Probability that the catalogue has what is missing, and that it is this effect.
 
-        What is unknown explains no more than the error that the effect leaves: the larger the
-        share by which the effect lowers it, the less it can stand in for the effect.
+        What is unknown accounts for the squared error that the effect leaves; the smaller its share
+        of that without the effect, the less it can stand in for it.
         """
-        remains = float(np.clip(1 - change, 0.0, 1.0)) if np.isfinite(change) else 1.0
+        remains = float(np.clip(1 - change, 0.0, 1.0)) ** 2 if np.isfinite(change) else 1.0
         probability = (1 - unknown * remains) * if_known
         # Names stated with 0.9 and more must be right that often.
         certain = probability >= DECISION.min_certain_probability

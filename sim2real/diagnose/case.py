@@ -13,12 +13,11 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.reading_noise import (
     rest_noise,
     with_reading_noise,
-    with_residual_noise,
 )
 from sim2real.diagnose.rival_sets import StatedSet, stated_sets
 from sim2real.errors import InputError
 from sim2real.identification.priors import largest_rotor
-from sim2real.identification.servo_problem import Hypothesis, Set, residual_angles, variants
+from sim2real.identification.servo_problem import Hypothesis, Set, variants
 from sim2real.model import JointModel, Model
 from sim2real.recording import PER_INERTIA, Recording
 from sim2real.robot import Robot, Servo
@@ -183,8 +182,7 @@ def with_own_latency(
     """The joint, each of its recordings with a latency of its own about a common one.
 
     Where readings are not taken at regular times, the commands of a recording begin some
-    milliseconds early or late, ``sd_s`` a priori, and take effect at times that vary, which is part
-    of the noise. ``servo`` is what explains the joint as yet.
+    milliseconds early or late, ``sd_s`` a priori. ``servo`` is what explains the joint as yet.
     """
     if all(trace.spread is None for trace in joint.traces):
         return joint
@@ -195,9 +193,7 @@ def with_own_latency(
         replace(trace, sample_delay_s=trace.sample_delay_s - float(delay))
         for trace, delay in zip(joint.traces, later, strict=True)
     ]
-    residuals = residual_angles(batch, servo.fit)[0]
-    left = [row[: x.t.size] for row, x in zip(residuals, moved, strict=False)]
-    return replace(joint, traces=with_residual_noise(moved, left))
+    return replace(joint, traces=moved)
 
 
 def _known(

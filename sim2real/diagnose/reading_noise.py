@@ -141,28 +141,6 @@ def _times_s(noise: Array, speed: Array, rest: float) -> tuple[float, float]:
     return float(np.sqrt(np.median(np.maximum(sd**2 - rest**2, 0.0) / typical))), float(sd[-1])
 
 
-def with_residual_noise(traces: Sequence[Trace], residuals: Sequence[Array]) -> list[Trace]:
-    """The traces with the spread that the residuals (T,) of the best fit as yet have, if larger.
-
-    Times at which commands take effect vary as well, and so does each recording's latency.
-    """
-    known = jitter_s(traces)
-    if known is None:
-        return list(traces)
-    left, speeds = list[Array](), [_speed(trace) for trace in traces]
-    for trace, residual in zip(traces, residuals, strict=True):
-        angle = np.interp(trace.t, trace.t[trace.used], trace.position[trace.used])
-        turning = np.gradient(angle, trace.t)
-        shift = float(residual @ turning / max(turning @ turning, 1e-12))
-        left.append((residual - shift * turning)[trace.used])
-    moving = np.concatenate([v[t.used] for v, t in zip(speeds, traces, strict=True)])
-    jitter, rest = max(_times_s(np.concatenate(left), moving, known[1])[0], known[0]), known[1]
-    return [
-        replace(t, spread=np.hypot(1.0, jitter * speed / rest))
-        for t, speed in zip(traces, speeds, strict=True)
-    ]
-
-
 def _differences(trace: Trace, order: int) -> tuple[Array, Array]:
     """Divided differences of used readings, of the noise's standard deviation, and their speeds."""
     t, angle = trace.t[trace.used], trace.position[trace.used]

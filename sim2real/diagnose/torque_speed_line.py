@@ -46,24 +46,16 @@ def models_with_limits(
     """
     models: dict[int, JointModel] = {}
     for joint, known in zip(joints, tried, strict=True):
-        best = known.best
-        row = best.fit.servos.theta[0]
+        row = known.best.fit.servos.theta[0]
         if joint.references or joint.base or joint.stall_Nm is None or row[LINE_COLUMNS].any():
             continue
-        limits = [
-            limit
-            for members in (best.members, *(best.members - {e} for e in best.members))
-            for limit in _limits(search, joint, known, members)
-        ]
-        limit = max(limits, key=lambda one: one.evidence)
-        least = max(DECISION.decisive_gain, 0.0) if limit.members == best.members else 0.0
-        if limit.evidence <= best.evidence + least:
-            continue
-        start = search.additions(known, best.members, _RIVALS)
-        rivals = search.refit([(known, best.members | {name}, x) for name, x in start])
-        for rival in rivals:
-            known.keep(rival)
-        if any(rival.evidence > limit.evidence for rival in rivals):
+        limit = _better_limit(search, joint, known)
+        if limit is not None and known.best.members != known.base:
+            best = known.best
+            further = search.additions(known, best.members, _RIVALS)
+            search.try_all([(known, best.members | {name}, start) for name, start in further])
+            limit = limit if known.best is best else _better_limit(search, joint, known)
+        if limit is None:
             continue
         law: Law = "motor"
         theta = limit.fit.servos.theta[0]
@@ -71,6 +63,19 @@ def models_with_limits(
             theta, law = without_flat_limit(theta), "current_limited"
         models[known.case] = stated(theta, joint.traces[0].load, law=law)
     return models
+
+
+def _better_limit(search: ServoSearch, joint: JointCase, tried: Tried) -> Hypothesis | None:
+    """The best limit with the best set of effects, or in place of one of them, if it is better."""
+    best = tried.best
+    limits = [
+        limit
+        for members in (best.members, *(best.members - {e} for e in best.members - tried.base))
+        for limit in _limits(search, joint, tried, members)
+    ]
+    limit = max(limits, key=lambda one: one.evidence)
+    least = DECISION.decisive_gain if limit.members == best.members else 0.0
+    return limit if limit.evidence > best.evidence + least else None
 
 
 def _limits(

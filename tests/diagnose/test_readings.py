@@ -48,7 +48,7 @@ def test_times_that_vary_are_noise_that_grows_with_speed():
     assert found == pytest.approx(JITTER_S, rel=0.3)
     assert rest == pytest.approx(1e-3, rel=0.3)
     assert kept.spread.min() == pytest.approx(1.0, abs=0.2)
-    assert kept.spread.max() > 8
+    assert kept.spread.max() > 5
     assert "2." in next(iter(left_out([kept])))
 
 
