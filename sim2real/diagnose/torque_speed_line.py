@@ -74,8 +74,9 @@ def _better_limit(search: ServoSearch, joint: JointCase, tried: Tried) -> Hypoth
         for limit in _limits(search, joint, tried, members)
     ]
     limit = max(limits, key=lambda one: one.evidence)
-    least = DECISION.decisive_gain if limit.members == best.members else 0.0
-    return limit if limit.evidence > best.evidence + least else None
+    without = tried.tried.get(limit.members - {SATURATION}, tried.plain)
+    least = max(best.evidence, without.evidence + DECISION.decisive_gain)
+    return limit if limit.evidence > least else None
 
 
 def _limits(

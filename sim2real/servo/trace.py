@@ -149,6 +149,7 @@ def trace(recording: Recording, joint: str) -> Trace:
         drive=None
         if load is None
         else reported_drive(t, command, position, load[powered], context["sample_delay_s"]),
+        spread=None,
         **context,
     )
 
