@@ -25,9 +25,11 @@ from sim2real.diagnose.screening import NUISANCES
 from sim2real.diagnose.servo_search import ServoSearch, plain_sets
 from sim2real.diagnose.torque_speed_line import models_with_limits
 from sim2real.diagnose.wording import diagnosis, with_checks
+from sim2real.effects import named
 from sim2real.identification.held_out import Unseen, held_out
 from sim2real.identification.identify import fitted_joint
 from sim2real.identification.motor_choice import EXPLAINED
+from sim2real.identification.plain_fit import refitted
 from sim2real.identification.servo_problem import (
     Hypothesis,
     Servos,
@@ -168,7 +170,7 @@ def examined(
             before=before[j],
             after=after[j],
             least_squares=robust[j],
-            robust=_least_squares(joints[j], one.offered) if one.adds_effects else robust[j],
+            robust=_robust(joints[j], one.offered) if one.adds_effects else robust[j],
             identified=_identified(joints[j], one, seed, device),
         )
         for j, one in enumerate(found)
@@ -229,10 +231,19 @@ def _looked(
 
 
 def _least_squares(joint: JointCase, servo: Hypothesis) -> Array:
-    """A servo fitted robustly, with what every servo has a little of fixed, shape (P,).
+    """A servo as ``identify`` fits it, with what every servo has a little of fixed, shape (P,).
 
     A fit with a free noise model takes what is missing for noise, and predicts worse.
     """
+    effects = [named(effect) for effect in sorted(servo.members)]
+    theta = servo.fit.servos.theta[0]
+    return refitted(joint.traces, theta, [e for e in effects if e.fitted and not e.everywhere]).row
+
+
+def _robust(joint: JointCase, servo: Hypothesis) -> Array:
+    """The same, each reading weighted by its noise where that differs between them, shape (P,)."""
+    if joint.traces[0].spread is None:
+        return _least_squares(joint, servo)
     servos = servo.fit.servos
     owners = [COLUMNS[c].partition(".")[0] for c in servos.columns[0]]
     fixed = [owner in {e.name for e in NUISANCES} for owner in owners]
