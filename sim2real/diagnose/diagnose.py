@@ -47,7 +47,7 @@ from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import BASE, COLUMNS, FIRST_EFFECT_COLUMN, LOOP, joint_row
-from sim2real.servo.trace import at_one_gain, firmware_gain
+from sim2real.servo.trace import Trace, at_one_gain, firmware_gain
 
 __all__ = ["Case", "diagnose", "diagnose_all"]
 _GIVEN = (*BASE[3:], *LOOP)
@@ -149,7 +149,8 @@ def examined(
     count, rng = len(case.recordings), np.random.default_rng(seed)
     case = replace(case, recordings=kept[:count], references=kept[count:], warnings=warnings)
     case = with_known_servos(_with_laws_open(case), rng)
-    joints, first = _first_look(prepared(case), rng, device)
+    recorded = prepared(case)
+    joints, first = _first_look(recorded, rng, device)
     if not any(joint.references for joint in joints):
         batch = Batch([joint.traces for joint in joints], device)
         joints = on_one_clock(batch, joints, [tried.best for tried in first])
@@ -163,14 +164,19 @@ def examined(
     plain = [one.finding.tried.plain for one in found]
     before = residual_angles(batch, joined([servo.fit for servo in plain]))
     after = residual_angles(batch, joined([one.offered.fit for one in found]))
-    robust = [_least_squares(*pair) for pair in zip(joints, plain, strict=True)]
+    # As they were recorded, whatever the clocks say.
+    as_read = [
+        [replace(t, position=x.position) for t, x in zip(joint.traces, old.traces, strict=True)]
+        for joint, old in zip(joints, recorded, strict=True)
+    ]
+    robust = [_least_squares(*pair) for pair in zip(as_read, plain, strict=True)]
     return case, [
         replace(
             one,
             before=before[j],
             after=after[j],
             least_squares=robust[j],
-            robust=_robust(joints[j], one.offered) if one.adds_effects else robust[j],
+            robust=_robust(as_read[j], one.offered) if one.adds_effects else robust[j],
             identified=_identified(joints[j], one, seed, device),
         )
         for j, one in enumerate(found)
@@ -230,20 +236,20 @@ def _looked(
     return tried, search
 
 
-def _least_squares(joint: JointCase, servo: Hypothesis) -> Array:
+def _least_squares(traces: Sequence[Trace], servo: Hypothesis) -> Array:
     """A servo as ``identify`` fits it, with what every servo has a little of fixed, shape (P,).
 
     A fit with a free noise model takes what is missing for noise, and predicts worse.
     """
     effects = [named(effect) for effect in sorted(servo.members)]
     theta = servo.fit.servos.theta[0]
-    return refitted(joint.traces, theta, [e for e in effects if e.fitted and not e.everywhere]).row
+    return refitted(traces, theta, [e for e in effects if e.fitted and not e.everywhere]).row
 
 
-def _robust(joint: JointCase, servo: Hypothesis) -> Array:
+def _robust(traces: Sequence[Trace], servo: Hypothesis) -> Array:
     """The same, each reading weighted by its noise where that differs between them, shape (P,)."""
-    if joint.traces[0].spread is None:
-        return _least_squares(joint, servo)
+    if traces[0].spread is None:
+        return _least_squares(traces, servo)
     servos = servo.fit.servos
     owners = [COLUMNS[c].partition(".")[0] for c in servos.columns[0]]
     fixed = [owner in {e.name for e in NUISANCES} for owner in owners]
@@ -252,7 +258,7 @@ def _robust(joint: JointCase, servo: Hypothesis) -> Array:
     unit, low, high = (x[:, order] for x in (servos.unit, servos.low, servos.high))
     none = np.zeros(1, dtype=np.int32)
     start = Servos(none, servos.theta, columns[:, order], unit, low, high)
-    fit = minimise_robustly([joint.traces], start, iterations=20)
+    fit = minimise_robustly([traces], start, iterations=20)
     return np.asarray(fit.servos.theta[0])
 
 
