@@ -123,6 +123,23 @@ def prepared(case: Case) -> list[JointCase]:
     return joints
 
 
+def batch_of(
+    joints: Sequence[JointCase],
+    device: str = "cpu",
+    *,
+    period: float | None = None,
+    bounded: bool = True,
+) -> Batch:
+    """The recordings of joints, ready for problems; ``bounded`` as of ``Batch``.
+
+    Where readings come at irregular times, their noise is taken as white: an autoregression would
+    take the much larger errors of motion for noise.
+    """
+    irregular = all(trace.spread is not None for joint in joints for trace in joint.traces)
+    traces = [joint.traces for joint in joints]
+    return Batch(traces, device, bounded=bounded, white=irregular, period=period)
+
+
 def coarse_step(traces: Sequence[Trace], stated_rad: float) -> float | None:
     """The step in rad on which all angles lie, where it is well above the stated one, or None."""
     steps = [trace.quantization_step() for trace in traces]

@@ -12,7 +12,7 @@ from sim2real.arm.arm_loads import with_arm_loads
 from sim2real.arrays import Array
 from sim2real.diagnose.baseline import baselines
 from sim2real.diagnose.calibrated_odds import judged_and_offered
-from sim2real.diagnose.case import Case, JointCase, on_one_clock, prepared, simulated
+from sim2real.diagnose.case import Case, JointCase, batch_of, on_one_clock, prepared, simulated
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.effect_search import first_look
 from sim2real.diagnose.investigate import investigate, placed
@@ -152,13 +152,13 @@ def examined(
     recorded = prepared(case)
     joints, first = _first_look(recorded, rng, device)
     if not any(joint.references for joint in joints):
-        batch = Batch([joint.traces for joint in joints], device)
+        batch = batch_of(joints, device)
         joints = on_one_clock(batch, joints, [tried.best for tried in first])
-    batch = Batch([joint.traces for joint in joints], device)
+    batch = batch_of(joints, device)
     joints, findings = investigate(
         batch, joints, first, rng=rng, progress=lambda share: progress(0.8 * share)
     )
-    batch = Batch([joint.traces for joint in joints], device)
+    batch = batch_of(joints, device)
     findings = [against_references(batch, *pair) for pair in zip(joints, findings, strict=True)]
     found = judged_and_offered(joints, findings, device)
     plain = [one.finding.tried.plain for one in found]
@@ -205,7 +205,7 @@ def _first_look(
 ) -> tuple[list[JointCase], list[Tried]]:
     """The joints, with their motor's limit where that shows, and every set that was tried."""
     joints = list(joints)
-    batch = Batch([joint.traces for joint in joints], device)
+    batch = batch_of(joints, device)
     tried, search = _looked(batch, joints, rng)
     lines = models_with_limits(search, joints, tried)
     changed = set(lines)
@@ -218,7 +218,7 @@ def _first_look(
     order = sorted(changed)
     if order:
         some = [joints[j] for j in order]
-        again = Batch([joint.traces for joint in some], device, period=batch.period)
+        again = batch_of(some, device, period=batch.period)
         for j, one in zip(order, _looked(again, some, rng)[0], strict=True):
             tried[j] = placed(one, j)
     return joints, tried

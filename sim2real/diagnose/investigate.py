@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase, with_own_latency
+from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase, batch_of, with_own_latency
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.effect_probabilities import EffectPosterior, Group, posteriors
 from sim2real.diagnose.effect_search import (
@@ -121,14 +121,17 @@ def investigate(
     findings = _findings(batch, joints, cases, problem, rng)
     progress(0.7)
     # Where structure stays, it is no sensor's noise: the noise model must then be free.
-    again = [j for j, finding in enumerate(findings) if finding.excess > DECISION.structured_excess]
+    again = [
+        j
+        for j, finding in enumerate(findings)
+        if batch.white or finding.excess > DECISION.structured_excess
+    ]
     if again:
         joints = list(joints)
         for j in again:
             joints[j] = with_own_latency(batch, joints[j], findings[j].best)
         some = [joints[j] for j in again]
-        data = [joint.traces for joint in some]
-        free = Batch(data, batch.device, batch.threads, bounded=False, period=batch.period)
+        free = batch_of(some, batch.device, period=batch.period, bounded=False)
         before = [findings[j].tried for j in again]
         level = DECISION.false_alarms / len(again)
         cases, problem = search_freely(free, some, before, level=level, rng=rng)
@@ -138,7 +141,7 @@ def investigate(
             mismatch = finding.mismatch or findings[j].mismatch
             best = own.tried[finding.best.members]
             findings[j] = replace(finding, tried=own, best=best, mismatch=mismatch)
-    batch = Batch([x.traces for x in joints], batch.device, batch.threads, period=batch.period)
+    batch = batch_of(joints, batch.device, period=batch.period)
     findings, alone = _with_link(batch, joints, range(len(joints)), findings)
     for j in alone:  # where not all joints show it, one's own controller may be slow
         findings, _ = _with_link(batch, joints, [j], findings, DECISION.controller_wait_s)
