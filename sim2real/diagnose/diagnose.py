@@ -28,7 +28,6 @@ from sim2real.diagnose.wording import diagnosis, with_checks
 from sim2real.effects import named
 from sim2real.identification.held_out import Unseen, held_out
 from sim2real.identification.identify import fitted_joint
-from sim2real.identification.motor_choice import EXPLAINED
 from sim2real.identification.plain_fit import refitted
 from sim2real.identification.servo_problem import (
     Hypothesis,
@@ -40,6 +39,7 @@ from sim2real.identification.servo_problem import (
 )
 from sim2real.inference.normal import LEVEL
 from sim2real.model import JointModel, Model
+from sim2real.noise import ABOVE_NOISE
 from sim2real.output import sha256_of
 from sim2real.plausible import admitted
 from sim2real.progress import Progress
@@ -267,10 +267,15 @@ def _identified(
 ) -> tuple[JointModel, Unseen] | None:
     """The servo as ``identify`` fits it, and its errors on held-out data, where these are smaller.
 
-    None where what is offered leaves no more than noise.
+    None where what is offered leaves little more than noise.
     """
     offered = found.unseen.get(found.offered.members)
-    if joint.references or joint.base or offered is None or offered.error < EXPLAINED * joint.noise:
+    if (
+        joint.references
+        or joint.base
+        or offered is None
+        or offered.error < ABOVE_NOISE * joint.noise
+    ):
         return None
     model = fitted_joint(joint.traces, joint.servo, seed)
     row = joint_row(model, joint.traces[0].load)

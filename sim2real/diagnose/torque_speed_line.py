@@ -12,6 +12,7 @@ from sim2real.diagnose.baseline import BLOCKS, with_effects
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.servo_search import ServoSearch, evidence_of
+from sim2real.effects import named
 from sim2real.identification.motor_choice import without_flat_limit
 from sim2real.identification.problem import ServoProblem
 from sim2real.identification.servo_problem import (
@@ -68,9 +69,10 @@ def models_with_limits(
 def _better_limit(search: ServoSearch, joint: JointCase, tried: Tried) -> Hypothesis | None:
     """The best limit with the best set of effects, or in place of one of them, if it is better."""
     best = tried.best
+    alike = [e for e in best.members - tried.base if named(e).site in ("command", "motor")]
     limits = [
         limit
-        for members in (best.members, *(best.members - {e} for e in best.members - tried.base))
+        for members in (best.members, *(best.members - {e} for e in alike))
         for limit in _limits(search, joint, tried, members)
     ]
     limit = max(limits, key=lambda one: one.evidence)
