@@ -35,6 +35,7 @@ def diagnose(
     in_water: File | None = None,
     device: str = "cpu",
     effort: float = 1.0,
+    interval: float = 0.9,
     seed: int = 0,
 ) -> Diagnosis:
     """Find the physics that a fitted servo leaves out, or, from swims, that the body does.
@@ -46,7 +47,7 @@ def diagnose(
         model: A model to start from; swims need one (MODEL.json).
         references: Earlier recordings of the same robot; only what has changed since is reported.
         diagnosis: Servos only. A diagnosis of some of the recordings (diagnosis.json): the sets of
-            effects that it left open are tried again, and the ends of recordings are held out.
+            effects that it left open are tried again.
         negligible: An effect that changes the held-out error by less than this share is listed and
             does not change the verdict.
         in_water: Swims only. The fluid first simulates the recorded commands (a minute on a GPU),
@@ -55,6 +56,7 @@ def diagnose(
         device: Device that simulates the fluid, cpu or cuda:0.
         effort: Servos only. Multiple of the simulation budget of the search for combinations of
             effects; the diagnosis states which joints have spent it.
+        interval: Servos only. Probability of the intervals of parameters.
         seed: Seed of the bootstraps.
 
     Raises:
@@ -62,6 +64,7 @@ def diagnose(
     """
     check_whole("diagnose", "seed", seed)
     check_positive("diagnose", "effort", effort)
+    check_positive("diagnose", "interval", interval, 1.0, "between 0 and 1")
     read, machine = recordings_to_fit(recordings), robot_of(robot)
     earlier = recordings_to_fit(references) if references else []
     start = None if model is None else model_of(model)
@@ -76,7 +79,8 @@ def diagnose(
         with progress_bar("diagnose") as progress:
             return diagnose_servos(
                 read, machine, model=start, references=earlier, earlier=diagnosis,
-                negligible=negligible, effort=effort, seed=seed, progress=progress,
+                negligible=negligible, effort=effort, interval=interval, seed=seed,
+                progress=progress,
             )  # fmt: skip
     if len(swims) < len(read):
         bench_recording = next(recording for recording in read if recording not in swims)

@@ -34,7 +34,13 @@ class Segment:
 
     def weight(self, ratio: float) -> Array:
         """One over the size of the noise relative to that in motion, 0 where not counted, (T,)."""
-        return np.where(self.counts, np.where(self.rests, 1 / ratio, 1.0), 0.0)
+        weight = np.where(self.counts, np.where(self.rests, 1 / ratio, 1.0), 0.0)
+        return self.source.trace.standardised(weight)
+
+    def innovations(self, noise: Noise) -> Array:
+        """Innovations of the corrected residual, as of a joint at rest, shape (T,)."""
+        residual = whitened(self.corrected(noise.refit), noise.model)
+        return self.source.trace.standardised(residual)
 
     def corrected(self, refit: Array) -> Array:
         """Residual after a change of latency, kd and kp by ``refit`` (3,), shape (T,)."""
@@ -81,7 +87,7 @@ class NoisyJoint:
 
     def settled(self, noise: Noise) -> tuple[Noise, float]:
         """The noise with its sizes and ``refit`` at their best, and its log-likelihood."""
-        pairs = [(s, whitened(s.corrected(noise.refit), noise.model)) for s in self.segments]
+        pairs = [(s, s.innovations(noise)) for s in self.segments]
         rest = np.concatenate([e[s.counts & s.rests] for s, e in pairs])
         moving = np.concatenate([e[s.counts & ~s.rests] for s, e in pairs])
         ratio = 1.0
@@ -165,7 +171,8 @@ def _with_rest(
     segments: Sequence[Segment], model: Array, *, fewest: int = 100
 ) -> tuple[Segment, ...]:
     """The recordings with the most probable speed below which a sample rests."""
-    square = np.concatenate([whitened(s.residual, model)[s.counts] ** 2 for s in segments])
+    plain = Noise(model, 1.0, 1.0, np.zeros(3))
+    square = np.concatenate([s.innovations(plain)[s.counts] ** 2 for s in segments])
     speeds = [np.abs(s.derivatives[:, 0]) for s in segments]
     speed = np.concatenate([v[s.counts] for v, s in zip(speeds, segments, strict=True)])
     best, limit = square.size * np.log(square.mean() + 1e-300), -1.0

@@ -69,6 +69,8 @@ def odds_features(finding: Finding, unseen: Errors) -> OddsFeatures:
     tried, best, link, without = finding.tried, finding.best, finding.link, finding.unmodelled
     no_findings = {ROUNDING, link.effect if link is not None else ROUNDING}
     groups = [g for g in finding.groups if no_findings.isdisjoint(g.members)]
+    changes = [finding.changes(unseen, g.members[0]) for g in groups]
+    matter = sum(change >= DECISION.negligible for change in changes)
     smooth = without.smooth.evidence(float(best.fit.count[0]))
     # Evidence by which a smooth function, which names no effect, exceeds the best set.
     lead = smooth - (best.evidence - tried.plain.evidence)
@@ -87,20 +89,20 @@ def odds_features(finding: Finding, unseen: Errors) -> OddsFeatures:
         uncatalogued_lead=lead,
         named_evidence=best.evidence - servo.evidence,
         remaining_gain=gain / max(limit, 1e-9),
-        groups=len(groups),
-        error_plain=1.0 if plain is None else plain.rmse / finding.noise,
-        error=1.0 if enriched is None else enriched.rmse / finding.noise,
+        groups=matter,
+        error_plain=1.0 if plain is None else plain.error / finding.noise,
+        error=1.0 if enriched is None else enriched.error / finding.noise,
     )
     of_joint = {f"joint {name}": whole[name] for name in _JOINT_FEATURES}
     of_groups = []
-    for group in groups:
+    for group, change in zip(groups, changes, strict=True):
         head = group.members[0]
         fewer = tried.tried.get(best.members - {head}, tried.plain)
         features = scaled(
             probability=group.probability,
             evidence=best.evidence - fewer.evidence,
-            error_change=finding.changes(unseen, head),
-            groups=len(groups) - 1,
+            error_change=change,
+            groups=_as_large(changes, change) - 1,
             excess=finding.excess,
             uncatalogued_lead=lead,
         )
@@ -115,6 +117,13 @@ def odds_features(finding: Finding, unseen: Errors) -> OddsFeatures:
             single_joint=len(link.shares) == 1,
         )
     return OddsFeatures(tuple(of_groups), whole, of_link)
+
+
+def _as_large(changes: Sequence[float], change: float) -> float:
+    """Number of groups that lower the error as much as one of them; smaller ones count in part."""
+    if not np.isfinite(change) or change <= 0:
+        return float(len(changes))
+    return float(sum(np.clip(other / change, 0.0, 1.0) for other in changes))
 
 
 def judged_together(findings: Sequence[Finding], unseen: Sequence[Errors]) -> list[Finding]:
@@ -160,15 +169,25 @@ def judged(finding: Finding, unseen: Errors, *, link_probability: float = 0.0) -
     if any(named(g.members[0]).never_named for g, _ in features.groups):
         unknown = max(unknown, DECISION.uncatalogued_probability)
 
-    def stated(if_known: float) -> float:
-        """Probability that the catalogue has what is missing, and that it is this effect."""
-        probability = (1 - unknown) * if_known
+    def stated(if_known: float, change: float = 0.0) -> float:
+        """Probability that the catalogue has what is missing, and that it is this effect.
+
+        What is unknown accounts for the squared error that the effect leaves; the smaller its share
+        of that without the effect, the less it can stand in for it.
+        """
+        remains = float(np.clip(1 - change, 0.0, 1.0)) ** 2 if np.isfinite(change) else 1.0
+        probability = (1 - unknown * remains) * if_known
         # Names stated with 0.9 and more must be right that often.
         certain = probability >= DECISION.min_certain_probability
         return probability if certain else min(probability, DECISION.max_uncertain_probability)
 
     groups = [
-        replace(g, probability=stated(ODDS["effect"].probability(of_name)))
+        replace(
+            g,
+            probability=stated(
+                ODDS["effect"].probability(of_name), finding.changes(unseen, g.members[0])
+            ),
+        )
         for g, of_name in features.groups
         if not named(g.members[0]).never_named
         and not includes_zero(finding.tried, finding.best, g.members[0])
@@ -229,29 +248,21 @@ def _add_errors(
     sets: Sequence[Sequence[Set]],
     device: str,
 ) -> None:
-    """Add the held-out errors of those sets of effects of each joint that have none yet.
-
-    The plain servo is refitted for prediction; others keep the noise model of their fit. A
-    recording that was designed to tell effects apart shows what the others do not, so that a fit to
-    these alone would not predict it even with the right effects: only ends are held out then.
-    """
+    """Add the held-out errors of those sets of effects of each joint that have none yet."""
     jobs = [
         (j, members)
         for j, of_joint in enumerate(sets)
         for members in dict.fromkeys(of_joint)
         if members not in errors[j]
     ]
-    for white in (True, False):
-        some = [(j, members) for j, members in jobs if (members == findings[j].tried.base) == white]
-        if not some:
-            continue
-        traces = [joints[j].traces for j, _ in some]
-        servos = [findings[j].tried.tried[members].fit.servos for j, members in some]
-        ends = [bool(joints[j].stated) for j, _ in some]
-        scores = held_out(traces, servos, white=white, ends=ends, device=device)
-        for (j, members), score in zip(some, scores, strict=True):
-            if score is not None:
-                errors[j][members] = score
+    if not jobs:
+        return
+    traces = [joints[j].traces for j, _ in jobs]
+    servos = [findings[j].tried.tried[members].fit.servos for j, members in jobs]
+    scores = held_out(traces, servos, device=device)
+    for (j, members), score in zip(jobs, scores, strict=True):
+        if score is not None:
+            errors[j][members] = score
 
 
 def _sets_to_score(finding: Finding) -> list[Set]:
@@ -276,7 +287,7 @@ def _enriched(finding: Finding, fewer: Hypothesis, unseen: Errors) -> Hypothesis
     best, less = unseen.get(finding.best.members), unseen.get(fewer.members)
     if not finding.mismatch or finding.link is not None or best is None or less is None:
         return fewer
-    return finding.best if best.rmse < less.rmse else fewer
+    return finding.best if best.error < less.error else fewer
 
 
 def simpler(finding: Finding, enriched: Hypothesis, unseen: Errors) -> Set:
@@ -292,5 +303,5 @@ def offer(finding: Finding, enriched: Hypothesis, fewer: Set, unseen: Errors) ->
     less, more = unseen.get(fewer), unseen.get(enriched.members)
     if less is None or more is None:
         return enriched
-    better = more.rmse < (1 - DECISION.min_improvement) * less.rmse
+    better = more.error < (1 - DECISION.min_improvement) * less.error
     return enriched if better else finding.tried.tried[fewer]

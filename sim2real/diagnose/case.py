@@ -10,6 +10,10 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.clock import dropped_rows
 from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.reading_noise import (
+    rest_noise,
+    with_reading_noise,
+)
 from sim2real.diagnose.rival_sets import StatedSet, stated_sets
 from sim2real.errors import InputError
 from sim2real.identification.priors import largest_rotor
@@ -20,7 +24,7 @@ from sim2real.robot import Robot, Servo
 from sim2real.servo.batch import STEPS_PER_RADIAN, Batch, Problems
 from sim2real.servo.parameters import COLUMNS, INERTIA_LEFT_OUT
 from sim2real.servo.rollout import LONGEST_SUBSTEP_S, rollout_on
-from sim2real.servo.trace import Trace, check_runs, sensor_noise, traces
+from sim2real.servo.trace import Trace, check_runs, traces
 
 UNMODELLED_INERTIA = "unmodelled_inertia"
 """The effect that stands for the rotor of a servo whose model states none."""
@@ -95,7 +99,7 @@ def prepared(case: Case) -> list[JointCase]:
             raise InputError(recording.file, "header", found, expected)
     joints = []
     for joint in case.robot.joints:
-        data = traces(case.recordings, joint.name)
+        data = with_reading_noise(traces(case.recordings, joint.name))
         if not data:
             continue
         check_runs(data, joint.name)
@@ -103,10 +107,10 @@ def prepared(case: Case) -> list[JointCase]:
             JointCase(
                 joint.name,
                 data,
-                sensor_noise(data),
+                rest_noise(data),
                 coarse_step(data, joint.servo.position_step_rad),
                 model=case.model.joints.get(joint.name) if case.model else None,
-                references=traces(case.references, joint.name),
+                references=with_reading_noise(traces(case.references, joint.name)),
                 servo=joint.servo,
                 stated=stated_sets(case.recordings, joint.name),
                 effort=case.effort,
@@ -119,6 +123,23 @@ def prepared(case: Case) -> list[JointCase]:
     return joints
 
 
+def batch_of(
+    joints: Sequence[JointCase],
+    device: str = "cpu",
+    *,
+    period: float | None = None,
+    bounded: bool = True,
+) -> Batch:
+    """The recordings of joints, ready for problems; ``bounded`` as of ``Batch``.
+
+    Where readings come at irregular times, their noise is taken as white: an autoregression would
+    take the much larger errors of motion for noise.
+    """
+    irregular = all(trace.spread is not None for joint in joints for trace in joint.traces)
+    traces = [joint.traces for joint in joints]
+    return Batch(traces, device, bounded=bounded, white=irregular, period=period)
+
+
 def coarse_step(traces: Sequence[Trace], stated_rad: float) -> float | None:
     """The step in rad on which all angles lie, where it is well above the stated one, or None."""
     steps = [trace.quantization_step() for trace in traces]
@@ -126,7 +147,7 @@ def coarse_step(traces: Sequence[Trace], stated_rad: float) -> float | None:
     return min(steps) if coarse and max(steps) <= 1.1 * min(steps) else None
 
 
-_DRIFT = COLUMNS.index("clock_drift.s_per_s")
+_DRIFT, _LATENCY = COLUMNS.index("clock_drift.s_per_s"), COLUMNS.index("latency_s")
 
 
 def on_one_clock(
@@ -142,7 +163,8 @@ def on_one_clock(
     information, slope = np.zeros((len(files), len(files))), np.zeros(len(files))
     for joint, servo in zip(joints, best, strict=True):
         place = [files.index(trace.file) for trace in joint.traces]
-        known, pull = _known(batch, servo, len(place))
+        known, pull = _known(batch, servo, len(place), _DRIFT)
+        pull += known.sum(axis=1) * servo.fit.servos.theta[0, _DRIFT]
         information[np.ix_(place, place)] += known
         slope[place] += pull
     inverse = np.linalg.pinv(information, rcond=1e-10, hermitian=True)
@@ -155,14 +177,14 @@ def on_one_clock(
     for joint, servo in zip(joints, best, strict=True):
         moved = []
         for trace in joint.traces:
-            angle = _simulated(trace, servo.fit.servos.theta[0])
+            angle = simulated(trace, servo.fit.servos.theta[0])
             late = (trace.t - trace.t[0]) * np.gradient(angle, trace.t)
             moved.append(replace(trace, position=trace.position + drift[trace.file] * late))
         corrected.append(replace(joint, traces=moved))
     return corrected
 
 
-def _simulated(trace: Trace, theta: Array) -> Array:
+def simulated(trace: Trace, theta: Array) -> Array:
     """Angles in rad of a servo (P,) on the command and load of a recording, shape (T,)."""
     kp, kd, inertia = float(theta[0]), float(theta[1]), trace.load.inertia_kgm2
     inertia += float(theta[INERTIA_LEFT_OUT])
@@ -171,15 +193,39 @@ def _simulated(trace: Trace, theta: Array) -> Array:
     return np.asarray(rollout_on(trace, theta[None], substep_s=step)[0])
 
 
+def with_own_latency(
+    batch: Batch, joint: JointCase, servo: Hypothesis, *, sd_s: float = 5e-3
+) -> JointCase:
+    """The joint, each of its recordings with a latency of its own about a common one.
+
+    Where readings are not taken at regular times, the commands of a recording begin some
+    milliseconds early or late, ``sd_s`` a priori. ``servo`` is what explains the joint as yet.
+    """
+    if all(trace.spread is None for trace in joint.traces):
+        return joint
+    information, slope = _known(batch, servo, len(joint.traces), _LATENCY)
+    later = np.linalg.solve(information + np.eye(len(slope)) / sd_s**2, slope)
+    later -= later.mean()
+    moved = [
+        replace(trace, sample_delay_s=trace.sample_delay_s - float(delay))
+        for trace, delay in zip(joint.traces, later, strict=True)
+    ]
+    return replace(joint, traces=moved)
+
+
 def _known(
-    batch: Batch, best: Hypothesis, recordings: int, *, step: float = 1e-4
+    batch: Batch, best: Hypothesis, recordings: int, column: int, *, step: float = 1e-4
 ) -> tuple[Array, Array]:
-    """What a joint tells of a drift in each of its recordings: information (R, R), slope (R,)."""
+    """What a joint tells of a change of a parameter in each of its recordings by itself.
+
+    Returns:
+        Information (R, R) and slope (R,) of the log-likelihood, the other parameters at their best.
+    """
     servos = best.fit.servos
     own = variants(servos)
-    kept = [0, *(1 + np.flatnonzero(servos.columns[0] != _DRIFT)), 0]
+    kept = [0, *(1 + np.flatnonzero(servos.columns[0] != column)), 0]
     theta, scale = own.theta[:, kept], own.scale[:, kept]
-    theta[0, -1, _DRIFT] += step
+    theta[0, -1, column] += step
     scale[0, -1] = 1 / step
     problem = Problems(servos.joint, theta, scale)
     gram = batch.evaluate(problem, autoregression=best.fit.autoregression).gram[0]
@@ -188,5 +234,4 @@ def _known(
     across = gram[:, 1:-1, -1].T  # shape (F, R)
     taken = across.T @ np.linalg.pinv(shared, rcond=1e-12, hermitian=True)
     information = np.diag(gram[:, -1, -1]) - taken @ across
-    slope = -(gram[:, 0, -1] - taken @ gram[:, 0, 1:-1].sum(axis=0))
-    return information, slope + information.sum(axis=1) * servos.theta[0, _DRIFT]
+    return information, -(gram[:, 0, -1] - taken @ gram[:, 0, 1:-1].sum(axis=0))

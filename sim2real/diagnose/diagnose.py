@@ -12,35 +12,46 @@ from sim2real.arm.arm_loads import with_arm_loads
 from sim2real.arrays import Array
 from sim2real.diagnose.baseline import baselines
 from sim2real.diagnose.calibrated_odds import judged_and_offered
-from sim2real.diagnose.case import Case, JointCase, on_one_clock, prepared
+from sim2real.diagnose.case import Case, JointCase, batch_of, on_one_clock, prepared, simulated
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.effect_search import first_look
 from sim2real.diagnose.investigate import placed
 from sim2real.diagnose.joint_result import JointFindings
+from sim2real.diagnose.reading_noise import without_releases
 from sim2real.diagnose.references import findings_of, with_known_servos
 from sim2real.diagnose.result import Diagnosis
 from sim2real.diagnose.rival_sets import with_open_sets
+from sim2real.diagnose.screening import NUISANCES
 from sim2real.diagnose.servo_search import ServoSearch, plain_sets
-from sim2real.diagnose.torque_speed_line import models_with_limits, on_their_lines
+from sim2real.diagnose.torque_speed_line import models_with_limits
 from sim2real.diagnose.wording import diagnosis, with_checks
 from sim2real.effects import named
+from sim2real.identification.held_out import Unseen, held_out
 from sim2real.identification.identify import fitted_joint
-from sim2real.identification.motor_choice import EXPLAINED
 from sim2real.identification.plain_fit import refitted
-from sim2real.identification.search import errors_of
-from sim2real.identification.servo_problem import Hypothesis, Tried, joined, residual_angles
-from sim2real.inference.least_squares import rms
+from sim2real.identification.servo_problem import (
+    Hypothesis,
+    Servos,
+    Tried,
+    joined,
+    minimise_robustly,
+    residual_angles,
+)
+from sim2real.inference.normal import LEVEL
 from sim2real.model import JointModel, Model
+from sim2real.noise import ABOVE_NOISE
 from sim2real.output import sha256_of
 from sim2real.plausible import admitted
 from sim2real.progress import Progress
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import joint_row
-from sim2real.servo.trace import at_one_gain, firmware_gain
+from sim2real.servo.parameters import BASE, COLUMNS, FIRST_EFFECT_COLUMN, LOOP, joint_row
+from sim2real.servo.trace import Trace, at_one_gain, firmware_gain
 
 __all__ = ["Case", "diagnose", "diagnose_all"]
+_GIVEN = (*BASE[3:], *LOOP)
+"""Parameters that are not fitted again: the load's, and the times of a sampled controller."""
 
 
 def diagnose(
@@ -52,6 +63,7 @@ def diagnose(
     earlier: str | os.PathLike[str] | None = None,
     negligible: float = DECISION.negligible,
     effort: float = 1.0,
+    interval: float = LEVEL,
     seed: int = 0,
     progress: Progress = lambda share: None,
 ) -> Diagnosis:
@@ -66,6 +78,7 @@ def diagnose(
         negligible: An effect that changes the held-out error by less than this share is listed, and
             makes no verdict.
         effort: Multiple of the simulation budget of the search for combinations of effects.
+        interval: Probability of the intervals of parameters.
         seed: Seed of the bootstraps.
         progress: Called with the share that is done.
 
@@ -87,7 +100,8 @@ def diagnose(
     )
     if model is None:
         gain = next(filter(None, map(firmware_gain, everything)), None)
-    return replace(result, model=replace(result.model, firmware_p_gain=gain))
+    result = replace(result, model=replace(result.model, firmware_p_gain=gain))
+    return result.with_intervals(interval)
 
 
 def diagnose_all(
@@ -134,29 +148,37 @@ def examined(
     kept, warnings = admitted((*case.recordings, *case.references), case.robot)
     count, rng = len(case.recordings), np.random.default_rng(seed)
     case = replace(case, recordings=kept[:count], references=kept[count:], warnings=warnings)
-    case = on_their_lines(with_known_servos(_with_laws_open(case), rng), rng)
+    case = with_known_servos(_with_laws_open(case), rng)
     recorded = prepared(case)
     joints, first = _first_look(recorded, rng, device)
     if not any(joint.references for joint in joints):
-        batch = Batch([joint.traces for joint in joints], device)
+        batch = batch_of(joints, device)
         joints = on_one_clock(batch, joints, [tried.best for tried in first])
-    batch = Batch([joint.traces for joint in joints], device)
-    findings = findings_of(
-        batch, joints, first, rng=rng, progress=lambda share: progress(0.8 * share)
-    )
+
+    def searching(share: float) -> None:
+        progress(0.8 * share)
+
+    batch = batch_of(joints, device)
+    aligned, findings = findings_of(batch, joints, first, rng=rng, progress=searching)
+    joints, batch = list(aligned), batch_of(aligned, device)
     found = judged_and_offered(joints, findings, device)
     plain = [one.finding.tried.plain for one in found]
     before = residual_angles(batch, joined([servo.fit for servo in plain]))
     after = residual_angles(batch, joined([one.offered.fit for one in found]))
-    robust = [_least_squares(*pair) for pair in zip(recorded, plain, strict=True)]
+    # As they were recorded, whatever the clocks say.
+    as_read = [
+        [replace(t, position=x.position) for t, x in zip(joint.traces, old.traces, strict=True)]
+        for joint, old in zip(joints, recorded, strict=True)
+    ]
+    robust = [_least_squares(*of_joint) for of_joint in zip(joints, as_read, plain, strict=True)]
     return case, [
         replace(
             one,
             before=before[j],
             after=after[j],
             least_squares=robust[j],
-            robust=_least_squares(recorded[j], one.offered) if one.adds_effects else robust[j],
-            identified=_identified(recorded[j], one, plain[j], seed),
+            robust=_robust(joints[j], as_read[j], one.offered) if one.adds_effects else robust[j],
+            identified=_identified(joints[j], one, seed, device),
         )
         for j, one in enumerate(found)
     ]
@@ -183,29 +205,40 @@ def _first_look(
     joints: Sequence[JointCase], rng: np.random.Generator, device: str
 ) -> tuple[list[JointCase], list[Tried]]:
     """The joints, with their motor's limit where that shows, and every set that was tried."""
-    batch = Batch([joint.traces for joint in joints], device)
-    tried = _looked(batch, joints, rng)
-    lines = models_with_limits(batch, joints, [one.best for one in tried])
-    if not lines:
-        return list(joints), tried
-    joints = [replace(joint, model=lines.get(j, joint.model)) for j, joint in enumerate(joints)]
-    some = [joints[j] for j in lines]
-    again = Batch([joint.traces for joint in some], device, period=batch.period)
-    for j, one in zip(lines, _looked(again, some, rng), strict=True):
-        tried[j] = placed(one, j)
+    joints = list(joints)
+    batch = batch_of(joints, device)
+    tried, search = _looked(batch, joints, rng)
+    lines = models_with_limits(search, joints, tried)
+    changed = set(lines)
+    for j, joint in enumerate(joints):
+        row = tried[j].best.fit.servos.theta[0]
+        kept = [without_releases(x, simulated(x, row)) for x in joint.traces]
+        if any(new is not old for new, old in zip(kept, joint.traces, strict=True)):
+            changed.add(j)
+        joints[j] = replace(joint, traces=kept, model=lines.get(j, joint.model))
+    order = sorted(changed)
+    if order:
+        some = [joints[j] for j in order]
+        again = batch_of(some, device, period=batch.period)
+        for j, one in zip(order, _looked(again, some, rng)[0], strict=True):
+            tried[j] = placed(one, j)
     return joints, tried
 
 
-def _looked(batch: Batch, joints: Sequence[JointCase], rng: np.random.Generator) -> list[Tried]:
+def _looked(
+    batch: Batch, joints: Sequence[JointCase], rng: np.random.Generator
+) -> tuple[list[Tried], ServoSearch]:
+    """What was tried on each joint at first sight, and what may be asked further."""
     plain = baselines(batch, [joint.model for joint in joints])
     tried = plain_sets(plain, [joint.base for joint in joints])
+    search = ServoSearch(batch, DECISION.false_alarms, rng)
     if not all(joint.references for joint in joints):
-        first_look(ServoSearch(batch, DECISION.false_alarms, rng), tried, joints)
-    return tried
+        first_look(search, tried, joints)
+    return tried, search
 
 
-def _least_squares(joint: JointCase, servo: Hypothesis) -> Array:
-    """A servo as ``identify`` fits it: robustly, with what every servo has a little of fixed, (P,).
+def _least_squares(joint: JointCase, traces: Sequence[Trace], servo: Hypothesis) -> Array:
+    """A servo as ``identify`` fits it, with what every servo has a little of fixed, shape (P,).
 
     A fit with a free noise model takes what is missing for noise, and predicts worse.
     """
@@ -213,22 +246,46 @@ def _least_squares(joint: JointCase, servo: Hypothesis) -> Array:
         return np.asarray(servo.fit.servos.theta[0])
     effects = [named(effect) for effect in sorted(servo.members)]
     theta = servo.fit.servos.theta[0]
-    return refitted(joint.traces, theta, [e for e in effects if e.fitted and not e.everywhere]).row
+    return refitted(traces, theta, [e for e in effects if e.fitted and not e.everywhere]).row
+
+
+def _robust(joint: JointCase, traces: Sequence[Trace], servo: Hypothesis) -> Array:
+    """The same, each reading weighted by its noise where that differs between them, shape (P,)."""
+    if joint.references or traces[0].spread is None:
+        return _least_squares(joint, traces, servo)
+    servos = servo.fit.servos
+    owners = [COLUMNS[c].partition(".")[0] for c in servos.columns[0]]
+    fixed = [owner in {e.name for e in NUISANCES} for owner in owners]
+    columns = np.where(fixed, -1, servos.columns).astype(np.int32)
+    order = np.argsort(columns[0] < 0, kind="stable")
+    unit, low, high = (x[:, order] for x in (servos.unit, servos.low, servos.high))
+    none = np.zeros(1, dtype=np.int32)
+    start = Servos(none, servos.theta, columns[:, order], unit, low, high)
+    fit = minimise_robustly([traces], start, iterations=20)
+    return np.asarray(fit.servos.theta[0])
 
 
 def _identified(
-    joint: JointCase, found: JointFindings, plain: Hypothesis, seed: int, *, share: float = 0.95
-) -> JointModel | None:
-    """The servo as ``identify`` fits it, with the losses of its motor, where nothing is named.
+    joint: JointCase, found: JointFindings, seed: int, device: str
+) -> tuple[JointModel, Unseen] | None:
+    """The servo as ``identify`` fits it, and its errors on held-out data, where these are smaller.
 
-    None where the plain servo explains the recordings, or where that one leaves no less than a
-    ``share`` of its error.
+    None where what is offered leaves little more than noise.
     """
-    if found.adds_effects or joint.references or joint.base:
-        return None
-    before = rms(errors_of(plain.fit.servos.theta[0], joint.traces))
-    if before < EXPLAINED * joint.noise:
+    offered = found.unseen.get(found.offered.members)
+    if (
+        joint.references
+        or joint.base
+        or offered is None
+        or offered.error < ABOVE_NOISE * joint.noise
+    ):
         return None
     model = fitted_joint(joint.traces, joint.servo, seed)
-    after = rms(errors_of(joint_row(model, joint.traces[0].load), joint.traces))
-    return model if after < share * before else None
+    row = joint_row(model, joint.traces[0].load)
+    present = np.flatnonzero(row[:FIRST_EFFECT_COLUMN] != 0)
+    columns = np.array([c for c in present if COLUMNS[c] not in _GIVEN], dtype=np.int32)
+    value, none = np.abs(row[columns])[None], np.zeros(1, dtype=np.int32)
+    start = Servos(none, row[None], columns[None], value, value / 4, 4 * value)
+    (unseen,) = held_out([joint.traces], [start], device=device)
+    smaller = unseen is not None and unseen.error < (1 - DECISION.min_improvement) * offered.error
+    return (model, unseen) if smaller and unseen is not None else None

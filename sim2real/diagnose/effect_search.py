@@ -14,13 +14,14 @@ from itertools import combinations
 
 import numpy as np
 
+from sim2real.diagnose.baseline import plain_again
 from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.screening import FITTED, NUISANCES, candidate
 from sim2real.diagnose.servo_search import Job, ServoSearch, plain_sets
 from sim2real.effects import named
 from sim2real.effects.servo.sensor_eccentricity import RANGE_RAD
-from sim2real.identification.servo_problem import Fits, Hypothesis, Set, Tried
+from sim2real.identification.servo_problem import Hypothesis, Set, Tried
 from sim2real.inference import selection
 from sim2real.inference.normal import Z90
 from sim2real.progress import Progress
@@ -31,14 +32,13 @@ from sim2real.servo.parameters import COLUMNS, INERTIA_LEFT_OUT, TRAIN_ROTORS
 def search(
     batch: Batch,
     joints: Sequence[JointCase],
-    plain: Fits,
-    best: Sequence[Hypothesis],
+    known: Sequence[Tried],
     *,
     level: float,
     rng: np.random.Generator,
     progress: Progress = lambda share: None,
 ) -> tuple[list[Tried], ServoSearch]:
-    """Try sets of effects on every joint until none is better, from what explained it best before.
+    """Try sets of effects on every joint until none is better, from what a first look tried.
 
     ``level`` is the share of joints that miss nothing and may be searched beyond single effects.
 
@@ -47,7 +47,8 @@ def search(
     Returns:
         What was tried, one a joint, and what may be asked of it further.
     """
-    cases = plain_sets(plain, [joint.base for joint in joints])
+    bases = [joint.base for joint in joints]
+    cases, best = plain_sets(plain_again(batch, known, bases), bases), [x.best for x in known]
     problem = ServoSearch(batch, level, rng, max(joint.effort for joint in joints))
     if all(joint.references for joint in joints):
         return cases, problem
@@ -86,6 +87,37 @@ def search(
     changed = with_rivals(problem, going, joints)
     selection.select(problem, changed, exhausted=problem.exhausted)
     problem.release(cases)
+    return cases, problem
+
+
+def search_freely(
+    batch: Batch,
+    joints: Sequence[JointCase],
+    before: Sequence[Tried],
+    *,
+    level: float,
+    rng: np.random.Generator,
+) -> tuple[list[Tried], ServoSearch]:
+    """Go on with the sets that were most probable with the noise model of another batch.
+
+    Returns:
+        As of ``search``.
+    """
+    bases = [tried.base for tried in before]
+    cases = plain_sets(plain_again(batch, before, bases), bases)
+    problem = ServoSearch(batch, level, rng, max(joint.effort for joint in joints))
+    problem.singles = False
+    if all(joint.references for joint in joints):
+        return cases, problem
+    problem.try_all(
+        [
+            (tried, h.members, h.fit.servos.theta[0])
+            for tried, old in zip(cases, before, strict=True)
+            for h in problem.compared(old)
+        ]
+    )
+    breadth = selection.Breadth(added=3, rivals=2)
+    selection.select(problem, cases, breadth, exhausted=problem.exhausted)
     return cases, problem
 
 

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
-from sim2real.diagnose.baseline import plain_again
-from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase
+from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase, batch_of, with_own_latency
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.effect_probabilities import EffectPosterior, Group, posteriors
 from sim2real.diagnose.effect_search import (
     search,
     search_again,
+    search_freely,
     size_in_noise,
     states_load,
     with_rotors,
@@ -98,7 +99,7 @@ class Finding:
         without = unseen.get(best - {effect}, unseen.get(self.tried.base))
         if effect not in best or enriched is None or without is None:
             return float("inf")
-        return 1 - enriched.rmse / without.rmse
+        return 1 - enriched.error / without.error
 
 
 def investigate(
@@ -108,29 +109,47 @@ def investigate(
     *,
     rng: np.random.Generator,
     progress: Progress = lambda share: None,
-) -> list[Finding]:
-    """Find what each joint of a robot is missing; ``known`` is what a first look tried."""
+) -> tuple[list[JointCase], list[Finding]]:
+    """Find what each joint of a robot is missing; ``known`` is what a first look tried.
+
+    Returns:
+        The joints, their recordings as they were aligned, and the findings.
+    """
     level = DECISION.false_alarms / len(joints)
-    findings = _pass(batch, joints, known, level, rng, lambda share: progress(0.7 * share))
+
+    def searching(share: float) -> None:
+        progress(0.6 * share)
+
+    cases, problem = search(batch, joints, known, level=level, rng=rng, progress=searching)
+    findings = _findings(batch, joints, cases, problem, rng)
+    progress(0.7)
     # Where structure stays, it is no sensor's noise: the noise model must then be free.
-    again = [j for j, finding in enumerate(findings) if finding.excess > DECISION.structured_excess]
+    again = [
+        j
+        for j, finding in enumerate(findings)
+        if batch.white or finding.excess > DECISION.structured_excess
+    ]
     if again:
+        joints = list(joints)
+        for j in again:
+            joints[j] = with_own_latency(batch, joints[j], findings[j].best)
         some = [joints[j] for j in again]
-        data = [joint.traces for joint in some]
-        free = Batch(data, batch.device, batch.threads, bounded=False, period=batch.period)
-        tried = [findings[j].tried for j in again]
+        free = batch_of(some, batch.device, period=batch.period, bounded=False)
+        before = [findings[j].tried for j in again]
         level = DECISION.false_alarms / len(again)
-        second = _pass(free, some, tried, level, rng, lambda share: progress(0.7 + 0.3 * share))
+        cases, problem = search_freely(free, some, before, level=level, rng=rng)
+        second = _findings(free, some, cases, problem, rng)
         for j, finding in zip(again, second, strict=True):
             own = replace(placed(finding.tried, j), case=finding.tried.case)
             mismatch = finding.mismatch or findings[j].mismatch
             best = own.tried[finding.best.members]
             findings[j] = replace(finding, tried=own, best=best, mismatch=mismatch)
+    batch = batch_of(joints, batch.device, period=batch.period)
     findings, alone = _with_link(batch, joints, range(len(joints)), findings)
     for j in alone:  # where not all joints show it, one's own controller may be slow
         findings, _ = _with_link(batch, joints, [j], findings, DECISION.controller_wait_s)
     progress(1.0)
-    return findings
+    return list(joints), findings
 
 
 def placed(tried: Tried, joint: int) -> Tried:
@@ -141,35 +160,37 @@ def placed(tried: Tried, joint: int) -> Tried:
     return replace(tried, case=joint, tried=moved)
 
 
-def _pass(
+def _findings(
     batch: Batch,
     joints: Sequence[JointCase],
-    known: Sequence[Tried],
-    level: float,
+    cases: Sequence[Tried],
+    problem: ServoSearch,
     rng: np.random.Generator,
-    progress: Progress,
 ) -> list[Finding]:
-    """The findings with the noise model of a batch."""
-    plain = plain_again(batch, known, [joint.base for joint in joints])
-    progress(0.1)
-    best_known = [tried.best for tried in known]
-
-    def searching(share: float) -> None:
-        progress(0.1 + 0.8 * share)
-
-    cases, problem = search(
-        batch, joints, plain, best_known, level=level, rng=rng, progress=searching
-    )
+    """The findings with the noise model of a batch, from what was tried with it."""
     data = [joint.traces for joint in joints]
     _, excesses = beyond_noise(batch, data, joined([tried.best.fit for tried in cases]))
-    structured = np.flatnonzero(np.array(excesses) > DECISION.structured_excess)
-    search_again(problem, [cases[j] for j in structured])
+    structured = [
+        tried
+        for tried, joint, left in zip(cases, joints, excesses, strict=True)
+        # Where readings come at irregular times the search goes on with free noise anyway.
+        if left > DECISION.structured_excess
+        and (batch.least_gain == 0 or joint.traces[0].spread is None)
+    ]
+    search_again(problem, structured)
     cases = with_rotors(problem, cases, joints)
     probable = posteriors(cases, rng)
     best = [tried.tried[p.sets[0]] for tried, p in zip(cases, probable, strict=True)]
+    problem.try_all(
+        [
+            (tried, h.members - {effect}, h.fit.servos.theta[0])
+            for tried, h in zip(cases, best, strict=True)
+            for effect in h.members - tried.base
+            if h.members - {effect} not in tried.tried
+        ]
+    )
     without = unmodelled(batch, data, joined([tried.plain.fit for tried in cases]))
     _, excesses = beyond_noise(batch, data, joined([h.fit for h in best]))
-    progress(1.0)
     return [
         Finding(
             tried=tried,
@@ -223,38 +244,51 @@ def _with_link(
     findings: Sequence[Finding],
     longest_jitter_s: float = np.inf,
 ) -> tuple[list[Finding], list[int]]:
-    """Findings with the link of some joints, and the joints that show it alone."""
+    """Findings with the link of some joints, and the joints that show it alone.
+
+    Irregular timing competes with each joint's effects: with all of them, without one of them, or
+    instead of them, whichever explains more.
+    """
     plain, best = [f.tried.plain for f in findings], [f.best for f in findings]
-    plain_link = best_link = link_of(_link_data(batch, joints, some, plain))
+    data = partial(_link_data, batch, joints, findings=findings)
+    plain_link = best_link = link_of(data(some, plain))
     if any(best[j] is not plain[j] for j in some):
-        best_link = link_of(_link_data(batch, joints, some, best))
+        best_link = link_of(data(some, best))
     if not _on_all(plain_link, best_link, [findings[j] for j in some]):
         shown = [j for j, share in zip(some, best_link.shares, strict=True) if share > 0]
         return list(findings), [j for j in shown if len(some) > 1 and findings[j].mismatch]
     explained = list(findings)
     lacks_rows = any(joints[i].lacks_rows for i in some)  # and so looks irregular
     for k, j in enumerate(some):
-        finding = findings[j]
-        own = finding.best.evidence - finding.tried.plain.evidence
-        # Irregular timing instead of the joint's own effects, or together with them.
-        instead = plain_link.shares[k] > best_link.shares[k] + own
-        link = plain_link if instead and plain_link.gain > 0 else best_link
+        finding, tried = findings[j], findings[j].tried
+        options = [(best[j], best_link), (plain[j], plain_link)]
+        most = max(link.shares[k] for _, link in options)
+        for effect in best[j].members - tried.base:
+            fewer = tried.tried.get(best[j].members - {effect})
+            if fewer is None or fewer is plain[j] or best[j].evidence - fewer.evidence > most:
+                continue
+            servos = [fewer if i == j else servo for i, servo in enumerate(best)]
+            options.append((fewer, link_of(data(some, servos))))
+        worth = [servo.evidence + link.shares[k] for servo, link in options]
+        servo, link = options[int(np.argmax(worth))]
+        if link.gain <= 0:
+            servo, link = options[0]
         short = link.effect == "latency_jitter" and link.value < longest_jitter_s
         if link.gain <= 0 or not (short or np.isinf(longest_jitter_s)):
             continue
-        fit = finding.best.fit
-        noise = float(np.sqrt(fit.error2[0] / fit.count[0]))
+        noise = float(np.sqrt(finding.best.fit.error2[0] / finding.best.fit.count[0]))
         remaining = excess(link.unexplained[k], joints[j].traces, batch, noise)
         remaining = min(remaining, finding.excess)
         unexplained = remaining > DECISION.structured_excess
-        groups = () if instead else finding.groups
+        kept = servo.members | {ROUNDING}
+        groups = tuple(g for g in finding.groups if not kept.isdisjoint(g.members))
         group = Group((link.effect,), DECISION.most_certain)
         explained[j] = replace(
             finding,
             mismatch=not lacks_rows or unexplained or bool(groups),
             unexplained=unexplained,
             excess=remaining,
-            best=finding.tried.plain if instead else finding.best,
+            best=servo,
             groups=groups if lacks_rows else (*groups, group),
             link=None if lacks_rows else link,
             place=k,
@@ -283,10 +317,17 @@ def _on_all(
 
 
 def _link_data(
-    batch: Batch, joints: Sequence[JointCase], some: Sequence[int], servos: Sequence[Hypothesis]
+    batch: Batch,
+    joints: Sequence[JointCase],
+    some: Sequence[int],
+    servos: Sequence[Hypothesis],
+    findings: Sequence[Finding],
 ) -> LinkData:
-    """Residuals of some joints, for ``link_of``; ``servos`` are those of all joints."""
-    fits = [servos[j].fit for j in some]
+    """Residuals of some joints, for ``link_of``; ``servos`` are those of all joints.
+
+    Their noise is as free as in the search for effects.
+    """
+    fits = [servos[j].fit.of_joints([j]) for j in some]
     residuals = residual_angles(batch, joined(fits))
     left = tuple(
         tuple(
@@ -295,4 +336,5 @@ def _link_data(
         )
         for j, fit, residual in zip(some, fits, residuals, strict=True)
     )
-    return LinkData(left, batch.lags, batch.least_gain, DECISION.decisive_gain)
+    least_gain = min(findings[j].search.batch.least_gain for j in some)
+    return LinkData(left, batch.lags, least_gain, DECISION.decisive_gain)

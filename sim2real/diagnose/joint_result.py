@@ -37,6 +37,10 @@ _ROTOR_NOTE = (
     "{:.3g} kg m² turn in addition to the stated load: rotor and gears of a size that the data "
     "sheet makes likely, or a load that is stated too small; these recordings cannot tell."
 )
+_PLAIN_NOTE = (
+    "the model is the plain one of identify, which predicts held-out data better than that with "
+    "the effects."
+)
 _DIGIT_RAD = 1e-9
 """To which a sensor's step is read off recorded numbers."""
 
@@ -57,8 +61,8 @@ class JointFindings:
     # parameters of the plain servo as ``identify`` fits them, shape (P,)
     least_squares: Array = field(default_factory=lambda: np.zeros(0))
     robust: Array = field(default_factory=lambda: np.zeros(0))  # those of the offered one
-    # the servo with its motor as ``identify`` fits it, where nothing is named
-    identified: JointModel | None = None
+    # the servo as ``identify`` fits it and its errors, where it predicts held-out data better
+    identified: tuple[JointModel, Unseen] | None = None
 
     @property
     def name(self) -> str:
@@ -103,6 +107,8 @@ class JointFindings:
 
     def _unseen(self, members: Set) -> float | None:
         unseen = self.unseen.get(members)
+        if self.identified is not None and members == self.offered.members:
+            unseen = self.identified[1]
         return None if unseen is None else unseen.rmse
 
     @property
@@ -129,8 +135,12 @@ class JointFindings:
         coarse = self.joint.step_rad
         rounding = () if coarse is None else (FittedEffect(ROUNDING, {"step_rad": coarse}),)
         if enriched and self.identified is not None:
-            effects = (*self.identified.effects, *rounding)
-            return replace(self.identified, effects=effects, notes=self.model(enriched=False).notes)
+            model, _ = self.identified
+            said = (
+                *self.model(enriched=False).notes,
+                *([_PLAIN_NOTE] if self.adds_effects else []),
+            )
+            return replace(model, effects=(*model.effects, *rounding), notes=said)
         servo, theta = self.finding.tried.plain, self.least_squares
         if enriched and self.adds_effects:
             servo, theta = self.offered, self.robust

@@ -292,6 +292,8 @@ def channel_of(segment: Segment, noise: Noise) -> Channel:
     """A recording of a joint as the filter takes it."""
     of, residual = segment.source, segment.corrected(noise.refit)
     scale = np.where(segment.counts, np.where(segment.rests, noise.ratio, 1.0), 0.0)
+    if of.trace.spread is not None:
+        scale *= of.trace.spread
     return Channel(
         of.trace.t, of.trace.command, of.arrival_s, servo_modes(of), residual, scale, segment.rests,
         noise.model, noise.variance,

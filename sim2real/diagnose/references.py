@@ -10,7 +10,7 @@ from scipy.special import expit
 
 from sim2real.arrays import Array
 from sim2real.diagnose.baseline import BLOCKS, with_effects
-from sim2real.diagnose.case import Case, JointCase, prepared
+from sim2real.diagnose.case import Case, JointCase, batch_of, prepared
 from sim2real.diagnose.change import Change, what_changed
 from sim2real.diagnose.contrast import Changes, noise_of
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
@@ -125,20 +125,21 @@ def findings_of(
     *,
     rng: np.random.Generator,
     progress: Progress = lambda share: None,
-) -> list[Finding]:
+) -> tuple[Sequence[JointCase], list[Finding]]:
     """What each joint of a robot is missing, or what of it has changed if it has references.
 
-    ``known`` is what a first look tried.
+    ``known`` is what a first look tried. The joints are returned as their recordings were aligned.
     """
     referred = [j for j, x in enumerate(joints) if x.references and x.model and x.servo]
     if len(referred) < len(joints):
-        findings = investigate(batch, joints, known, rng=rng, progress=progress)
+        joints, findings = investigate(batch, joints, known, rng=rng, progress=progress)
+        batch = batch_of(joints, batch.device, period=batch.period)
     else:
         findings = _not_searched(batch, joints, rng)
     for count, j in enumerate(referred):
         findings[j] = against_references(batch, joints[j], findings[j])
         progress((count + 1) / len(referred))
-    return findings
+    return joints, findings
 
 
 def _not_searched(

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
+
+from scipy.special import ndtri
 
 from sim2real.arrays import Array
 from sim2real.diagnose.rival_sets import SCHEMA, JointRivals, Separation
 from sim2real.diagnose.swim_rivals import SwimRivals
 from sim2real.display import NotebookDisplay, from_report
+from sim2real.inference.normal import LEVEL
 from sim2real.model import Model
 from sim2real.noise import ABOVE_NOISE
 from sim2real.output import write_json
@@ -62,12 +65,24 @@ class Mismatch:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter of an effect: mean, standard deviation and 90 % interval."""
+    """A parameter of an effect: mean, standard deviation and the ends of its interval.
+
+    The interval is that of ``Diagnosis.interval_level``, 90 % unless another one was asked for.
+    """
 
     mean: float
     sd: float
     q05: float
     q95: float
+
+    def widened(self, ratio: float) -> Estimate:
+        """The interval's ends further from the mean by a factor, but never beyond 0."""
+        low, high = (self.mean + ratio * (end - self.mean) for end in (self.q05, self.q95))
+        low, high = (
+            max(low, 0.0) if self.q05 >= 0 else low,
+            min(high, 0.0) if self.q95 <= 0 else high,
+        )
+        return replace(self, q05=low, q95=high)
 
 
 @dataclass(frozen=True)
@@ -176,8 +191,24 @@ class Diagnosis(NotebookDisplay):
     rival_sets: tuple[JointRivals, ...] = ()  # by joint, sets of effects that stay open
     swim_rivals: SwimRivals | None = None  # of swims, those of effects of body and camera
     separations: tuple[Separation, ...] = ()  # what recordings were designed to distinguish
-    notes: tuple[str, ...] = ()  # of what is taken for the rotor, one sentence each
+    notes: tuple[str, ...] = ()  # of what is left out or taken for the rotor, one sentence each
+    interval_level: float = LEVEL  # probability of the intervals of parameters
     provenance: Mapping[str, Any] = field(default_factory=dict)  # of ``output.provenance``
+
+    def with_intervals(self, level: float) -> Diagnosis:
+        """The diagnosis with intervals of another probability than 0.9."""
+        ratio = float(ndtri((1 + level) / 2) / ndtri((1 + LEVEL) / 2))
+
+        def widened(effects: tuple[NamedEffect, ...]) -> tuple[NamedEffect, ...]:
+            return tuple(
+                replace(e, parameters={n: x.widened(ratio) for n, x in e.parameters.items()})
+                for e in effects
+            )
+
+        if level == LEVEL:
+            return self
+        effects, negligible = widened(self.effects), widened(self.negligible)
+        return replace(self, effects=effects, negligible=negligible, interval_level=level)
 
     def remaining(self, signal: str) -> float | None:
         """Error of the enriched model, on held-out data if there are any; None if unchanged."""
@@ -261,6 +292,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,
+        "interval_level": diagnosis.interval_level,
         "mismatch": [_mismatch(m) for m in diagnosis.mismatch],
         **{name: entries(name) for name in ("effects", "negligible", "rivals")},
         "unknown": dict(diagnosis.unknown),

@@ -184,7 +184,7 @@ class ServoSearch:
             )
             fits.update((key, fine.single(n)) for n, key in enumerate(keys))
         return [
-            Hypothesis(s, fits[tried.case, s], _evidence(fits[tried.case, s], s - tried.base))
+            Hypothesis(s, fits[tried.case, s], evidence_of(fits[tried.case, s], s - tried.base))
             for tried, s, _ in jobs
         ]
 
@@ -212,7 +212,7 @@ class ServoSearch:
             (tried, h)
             for tried in cases
             if self.fixed.get(tried.case)
-            for h in _compared(tried, self.limits)
+            for h in self.compared(tried)
         ]
         self._fixed_before, self.fixed = self.fixed, {}
         jobs = [(tried, h.members, h.fit.servos.theta[0]) for tried, h in fixed]
@@ -222,6 +222,19 @@ class ServoSearch:
             if more > 0:
                 tried.tried[h.members] = replace(refitted, evidence=h.evidence + more)
                 self._screens.pop((tried.case, h.members), None)
+
+    def compared(self, tried: Tried) -> list[Hypothesis]:
+        """The sets that are compared: the best, the best without each effect, its rivals."""
+        best = tried.best
+        near = sorted(tried.tried.values(), key=lambda h: -h.evidence)[: self.limits.rivals]
+        scaled = _GAIN in best.members
+        sets = [
+            h.members
+            for h in near
+            if h.evidence > best.evidence - self.limits.near or (_GAIN in h.members) != scaled
+        ]
+        sets += [tried.base, *(best.members - {e} for e in best.members - tried.base)]
+        return [tried.tried[s] for s in dict.fromkeys(sets) if s in tried.tried]
 
     def resume(self, cases: Sequence[Tried]) -> None:
         """Fix again in some cases what was fixed before ``release``; try single effects as well."""
@@ -280,23 +293,9 @@ def plain_sets(plain: Fits, bases: Sequence[Set] | None = None) -> list[Tried]:
     for j in range(plain.count.size):
         base: Set = bases[j] if bases else frozenset()
         fit = plain.single(j)
-        hypothesis = Hypothesis(base, fit, _evidence(fit, frozenset()))
+        hypothesis = Hypothesis(base, fit, evidence_of(fit, frozenset()))
         cases.append(Tried(j, base, {base: hypothesis}))
     return cases
-
-
-def _compared(tried: Tried, limits: SearchLimits) -> list[Hypothesis]:
-    """The sets that the diagnosis compares: the best, the best without each effect, its rivals."""
-    best = tried.best
-    near = sorted(tried.tried.values(), key=lambda h: -h.evidence)[: limits.rivals]
-    scaled = _GAIN in best.members
-    sets = [
-        h.members
-        for h in near
-        if h.evidence > best.evidence - limits.near or (_GAIN in h.members) != scaled
-    ]
-    sets += [tried.base, *(best.members - {e} for e in best.members - tried.base)]
-    return [tried.tried[s] for s in dict.fromkeys(sets) if s in tried.tried]
 
 
 def _promised(fit: Fits) -> float:
@@ -307,7 +306,7 @@ def _promised(fit: Fits) -> float:
     return -0.5 * float(fit.count[0]) * float(np.log1p(-min(share, 1 - 1e-9)))
 
 
-def _evidence(fit: Fits, added: Set) -> float:
+def evidence_of(fit: Fits, added: Set) -> float:
     """Laplace's approximation of the evidence of effects, with their prior.
 
     -inf if it diverges, or if a gear train has neither gap nor spring: what then explains the

@@ -126,12 +126,17 @@ class _Regression:
 
     def whitened(self, columns: Array, model: Array) -> Array:
         """Innovations of columns (N, K) at the samples that count."""
-        parts = [whitened(part, model, axis=0) for part in np.split(columns, self.cuts)]
-        return np.vstack([x[m.counts] for x, m in zip(parts, self.motions, strict=True)])
+        parts = zip(self.motions, np.split(columns, self.cuts), strict=True)
+        return np.vstack(
+            [whitened(m.trace.standardised(x), model, axis=0)[m.counts] for m, x in parts]
+        )
 
     def _noise_model(self, residual: Array) -> Array:
         pairs = zip(self.motions, np.split(residual, self.cuts), strict=True)
-        products = np.sum([lag_products(x, m.counts, self.servo.lags) for m, x in pairs], axis=0)
+        lags = self.servo.lags
+        products = np.sum(
+            [lag_products(m.trace.standardised(x), m.counts, lags) for m, x in pairs], axis=0
+        )
         return np.asarray(autoregression(products[None], self.servo.least_gain)[0])
 
 

@@ -2,129 +2,110 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.diagnose.baseline import with_effects
-from sim2real.diagnose.case import Case, JointCase
-from sim2real.diagnose.decision import DECISION
-from sim2real.identification.first_guess import first_guess
-from sim2real.identification.motor_choice import EXPLAINED, fit_limit, without_flat_limit
-from sim2real.identification.plain_fit import best_of
-from sim2real.identification.priors import motor_prior
+from sim2real.diagnose.baseline import BLOCKS, with_effects
+from sim2real.diagnose.case import JointCase
+from sim2real.diagnose.decision import DECISION, LOG_PRIOR
+from sim2real.diagnose.servo_search import ServoSearch, evidence_of
+from sim2real.effects import named
+from sim2real.identification.motor_choice import without_flat_limit
 from sim2real.identification.problem import ServoProblem
 from sim2real.identification.servo_problem import (
     FLAT_COLUMNS,
     LINE_COLUMNS,
     SATURATION,
-    Fits,
     Hypothesis,
     Set,
+    Tried,
     minimise,
     plain_servos,
 )
-from sim2real.inference.least_squares import rms
-from sim2real.model import JointModel, Law, Model
+from sim2real.model import JointModel, Law
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
-from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import BASE, LINE, stated
-from sim2real.servo.trace import Trace, sensor_noise, traces
+from sim2real.servo.parameters import stated
+from sim2real.servo.trace import Trace
 
 _LARGER = np.linspace(1.0, 2.0, 26)
-
-
-def on_their_lines(case: Case, rng: np.random.Generator) -> Case:
-    """The case, each joint that reaches the line of its data sheet with a model that has it.
-
-    One with references keeps what it knows, and a joint a given model that is no plain servo.
-    """
-    known = dict(case.model.joints) if case.model else {}
-    lines = {}
-    for joint in case.robot.joints if not case.references else ():
-        model, data = known.get(joint.name), traces(case.recordings, joint.name)
-        if not data or (model is not None and (model.law != "pd" or model.effects)):
-            continue
-        line = _on_its_line(data, joint.servo, rng)
-        # A smaller change of the error is irrelevant.
-        if line is not None and line[1] < 1 - DECISION.negligible:
-            lines[joint.name] = line[0]
-    if not lines:
-        return case
-    return replace(case, model=replace(case.model or Model(joints={}), joints=known | lines))
-
-
-def _on_its_line(
-    traces: Sequence[Trace], servo: Servo, rng: np.random.Generator
-) -> tuple[JointModel, float] | None:
-    """The servo with its motor's line, and its residual relative to that of the linear servo."""
-    noise = sensor_noise(traces)
-    start, others = first_guess(traces, rng)
-    plain = best_of(traces, np.vstack([start[None], others]))
-    if rms([plain.error]) < EXPLAINED * noise:
-        return None
-    prior, room = motor_prior(servo, traces), 1 / DECISION.data_sheet_share
-    for name in LINE:
-        middle = float(np.exp(prior[name].nominal))
-        if np.isclose(middle, servo.max_torque_Nm) or name != LINE[0]:
-            prior = prior.changed(name, low=middle / room, high=middle * room)
-    names = (*BASE[:3], *LINE)
-    motor = fit_limit(traces, plain, prior, names, rng, noise=noise, current_limits=())
-    model = stated(motor.row, traces[0].load, law=motor.law)
-    return model, rms([motor.error]) / rms([plain.error])
+_RIVALS = 6
+"""Further effects with which a limit of the motor competes."""
 
 
 def models_with_limits(
-    batch: Batch, joints: Sequence[JointCase], best: Sequence[Hypothesis]
+    search: ServoSearch, joints: Sequence[JointCase], tried: Sequence[Tried]
 ) -> dict[int, JointModel]:
     """Plain models with their motor's limit, of joints that reach it.
 
-    The limit is a line of torque and speed, or flat: the data sheet's torque at any speed. Anything
-    large that is missing hides it from a fit of the plain servo, so it is fitted with ``best``,
-    what explains each joint best at first sight.
+    The limit is a line of torque and speed, or flat: the data sheet's torque at any speed. It
+    competes with the effects of the catalogue: it joins what explains each joint best at first
+    sight, or stands in for one of its effects, and is there where no further effect explains more.
     """
-    models = {}
-    for j, (joint, servo) in enumerate(zip(joints, best, strict=True)):
-        row = servo.fit.servos.theta[0].copy()
+    models: dict[int, JointModel] = {}
+    for joint, known in zip(joints, tried, strict=True):
+        row = known.best.fit.servos.theta[0]
         if joint.references or joint.base or joint.stall_Nm is None or row[LINE_COLUMNS].any():
             continue
-        assert joint.servo is not None
-        least = DECISION.data_sheet_share * joint.stall_Nm
-        # A limit at the data sheet's is the motor's by another name.
-        at_sheet = row[FLAT_COLUMNS[0]] > least
-        others: Set = servo.members - {SATURATION} if at_sheet else servo.members
-        line, flat = row.copy(), row.copy()
-        line[LINE_COLUMNS] = joint.stall_Nm, joint.servo.no_load_speed_rad_s
-        if at_sheet:
-            line[FLAT_COLUMNS] = 0.0
-        else:
-            flat[FLAT_COLUMNS] = joint.stall_Nm, 1.0
-        fits = [_fitted(batch, j, others, line)]
-        if SATURATION not in others:
-            fits.append(_fitted(batch, j, others | {SATURATION}, flat))
-        best_fit = max(fits, key=lambda fit: float(fit.loglikelihood[0]))
-        gain = float(best_fit.loglikelihood[0] - servo.fit.loglikelihood[0])
-        if gain <= (-1.0 if at_sheet else DECISION.decisive_gain):
+        limit = _better_limit(search, joint, known)
+        if limit is not None and known.best.members != known.base:
+            best = known.best
+            further = search.additions(known, best.members, _RIVALS)
+            search.try_all([(known, best.members | {name}, start) for name, start in further])
+            limit = limit if known.best is best else _better_limit(search, joint, known)
+        if limit is None:
             continue
         law: Law = "motor"
-        theta = best_fit.servos.theta[0]
-        if best_fit is not fits[0]:
-            if theta[FLAT_COLUMNS[0]] <= least:
-                continue
+        theta = limit.fit.servos.theta[0]
+        if theta[FLAT_COLUMNS[0]] > 0 and SATURATION in limit.members:
             theta, law = without_flat_limit(theta), "current_limited"
-        models[j] = stated(theta, joint.traces[0].load, law=law)
+        models[known.case] = stated(theta, joint.traces[0].load, law=law)
     return models
 
 
-def _fitted(batch: Batch, j: int, members: Set, row: Array) -> Fits:
-    """The fit of joint ``j`` with these effects, from a row (P,)."""
+def _better_limit(search: ServoSearch, joint: JointCase, tried: Tried) -> Hypothesis | None:
+    """The best limit with the best set of effects, or in place of one of them, if it is better."""
+    best = tried.best
+    alike = [e for e in best.members - tried.base if named(e).site in ("command", "motor")]
+    limits = [
+        limit
+        for members in (best.members, *(best.members - {e} for e in alike))
+        for limit in _limits(search, joint, tried, members)
+    ]
+    limit = max(limits, key=lambda one: one.evidence)
+    without = tried.tried.get(limit.members - {SATURATION}, tried.plain)
+    least = max(best.evidence, without.evidence + DECISION.decisive_gain)
+    return limit if limit.evidence > least else None
+
+
+def _limits(
+    search: ServoSearch, joint: JointCase, tried: Tried, members: Set
+) -> Iterator[Hypothesis]:
+    """Fits of a joint's effects together with a limit of its motor."""
+    assert joint.servo is not None and joint.stall_Nm is not None
+    line = tried.best.fit.servos.theta[0].copy()
+    line[LINE_COLUMNS] = joint.stall_Nm, joint.servo.no_load_speed_rad_s
+    line[FLAT_COLUMNS] = 0.0
+    yield _fitted(search, tried, members - {SATURATION}, line)
+    flat = tried.best.fit.servos.theta[0].copy()
+    flat[FLAT_COLUMNS] = joint.stall_Nm, 1.0
+    found = _fitted(search, tried, members | {SATURATION}, flat)
+    if found.fit.servos.theta[0, FLAT_COLUMNS[0]] > DECISION.data_sheet_share * joint.stall_Nm:
+        # At the data sheet's torque it is the motor's law by another name.
+        yield replace(found, evidence=found.evidence - LOG_PRIOR)
+
+
+def _fitted(search: ServoSearch, tried: Tried, members: Set, row: Array) -> Hypothesis:
+    """The fit of a joint with these effects from a row (P,), whose line is free if it has one."""
+    batch, j = search.batch, tried.case
     inertia = batch.load[batch.first_signal[j], :1]
     plain = plain_servos(np.array([j]), row[None], inertia, batch.period, free_line=True)
     start = with_effects(plain, members, row, float(inertia[0]))
-    return minimise(batch, start, iterations=15)
+    fit = minimise(batch, start, iterations=15, blocks=BLOCKS)
+    return Hypothesis(members, fit, evidence_of(fit, members - tried.base))
 
 
 def with_stated_line(

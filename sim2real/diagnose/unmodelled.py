@@ -73,7 +73,7 @@ def excess(
     energy, count = 0.0, 0
     for row, trace in zip(residual, traces, strict=False):
         numerator, denominator, spread = RESIDUAL_WANDER.filter(trace.period_s)
-        innovation = lfilter(numerator, denominator, row[: trace.t.size])
+        innovation = lfilter(numerator, denominator, trace.standardised(row[: trace.t.size]))
         used = trace.used.copy()
         used[: batch.lags] = False
         energy += float(np.sum(innovation[used] ** 2)) / (1 + spread)
@@ -143,8 +143,9 @@ def _windows(residual: Array, traces: Sequence[Trace], before: Windows | None) -
 
 
 def measured_only(residual: Array, traces: Sequence[Trace]) -> list[Array]:
-    """The residual (R, T) of each recording, NaN where nothing was measured, (T,) each."""
-    return [np.where(t.used, r[: t.t.size], np.nan) for r, t in zip(residual, traces, strict=False)]
+    """Standardised residuals (R, T) of the recordings, NaN where not used, (T,) each."""
+    pairs = zip(residual, traces, strict=False)
+    return [np.where(t.used, t.standardised(r[: t.t.size]), np.nan) for r, t in pairs]
 
 
 def _without(trace: Trace, segments: tuple[Window, ...]) -> Trace:

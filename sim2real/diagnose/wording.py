@@ -11,6 +11,7 @@ from sim2real.diagnose.case import Case
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.open_sets import rival_sets, set_probabilities
+from sim2real.diagnose.reading_noise import left_out
 from sim2real.diagnose.references import repeat
 from sim2real.diagnose.result import (
     DetectionLimit,
@@ -72,7 +73,11 @@ def diagnosis(
         unknown={joint.name: joint.finding.unknown for joint in joints},
         baseline_fit={joint.signal: joint.fit(enriched=False) for joint in joints},
         enriched_fit=enriched_fit,
-        notes=tuple(f"{name}: {note}" for name, one in enriched.items() for note in one.notes),
+        notes=tuple(
+            f"{joint.name}: {note}"
+            for joint in joints
+            for note in (*left_out(joint.joint.traces), *enriched[joint.name].notes)
+        ),
         unfinished=tuple(joint.name for joint in joints if joint.finding.unfinished),
         model=Model(
             joints=enriched,

@@ -1,17 +1,27 @@
-"""Errors on held-out data: every recording in turn, or the last quarter of each."""
+"""Errors on held-out data: segments of all recordings in turn."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.identification.servo_problem import Servos, minimise, residual_angles, stacked
+from sim2real.identification.servo_problem import (
+    Servos,
+    minimise_robustly,
+    residual_angles,
+    stacked,
+)
 from sim2real.inference.least_squares import rms
 from sim2real.servo.batch import Batch
-from sim2real.servo.trace import Trace, split
+from sim2real.servo.trace import Trace
+
+FOLDS = 4
+"""Number of folds."""
+_SEGMENTS = 2
+"""Segments of a recording in each fold."""
 
 
 @dataclass(frozen=True)
@@ -21,76 +31,77 @@ class Unseen:
     Attributes:
         residuals: Simulated minus measured angles in rad, one array per fold.
         theta: Parameters fitted to the other samples of each fold, shape (folds, P).
+        standardised: Residuals with the noise of a joint at rest (``Trace.standardised``); none
+            where they are the same.
     """
 
     residuals: tuple[Array, ...]
     theta: Array
+    standardised: tuple[Array, ...] = ()
 
     @property
     def rmse(self) -> float:
         """Root mean square error in rad."""
         return rms(self.residuals)
 
+    @property
+    def error(self) -> float:
+        """Root mean square of the standardised error in rad."""
+        return rms(self.standardised or self.residuals)
 
-def folds(traces: Sequence[Trace], *, ends: bool = False) -> list[tuple[list[Trace], list[Trace]]]:
-    """Pairs of traces to fit and to score: each recording in turn, or the end of a single one.
 
-    Args:
-        traces: The recordings.
-        ends: Whether of several recordings the end of each is held out, instead of all of it.
+def folds(traces: Sequence[Trace]) -> list[tuple[list[Trace], list[Trace]]]:
+    """Pairs of traces to fit and to score, which differ in the samples that are ``used``.
+
+    Each recording is cut into segments of equal length, of which every fold scores some: what only
+    one recording shows, such as a limit of speed, is then in the data of every fit. None where the
+    samples outside a segment show no motion.
     """
-    if len(traces) > 1 and not ends:
-        return [([other for other in traces if other is not trace], [trace]) for trace in traces]
-    parts = [(trace, *split([trace], None)[:2]) for trace in traces]
-    return [
-        ([*(other for other in traces if other is not trace), *fitted], scored)
-        for trace, fitted, scored in parts
-        if scored
-    ]
+    pairs = []
+    for fold in range(FOLDS):
+        fitted, scored = [], []
+        for trace in traces:
+            share = (trace.t - trace.t[0]) / max(trace.duration_s, 1e-9)
+            segment = np.minimum((share * FOLDS * _SEGMENTS).astype(int), FOLDS * _SEGMENTS - 1)
+            held = segment % FOLDS == fold
+            fitted.append(replace(trace, used=trace.used & ~held))
+            scored.append(replace(trace, used=trace.used & held))
+        moves = any(replace(t, position=t.measured).moves() for t in fitted)
+        if moves and any(t.used.any() for t in scored):
+            pairs.append((fitted, scored))
+    return pairs
 
 
 def held_out(
-    joints: Sequence[Sequence[Trace]],
-    servos: Sequence[Servos],
-    *,
-    white: bool = True,
-    ends: Sequence[bool] | None = None,
-    device: str = "cpu",
+    joints: Sequence[Sequence[Trace]], servos: Sequence[Servos], *, device: str = "cpu"
 ) -> list[Unseen | None]:
     """Refit each servo without each fold, and compute its residuals there.
+
+    Refits are robust and assume white noise: a free noise model takes what is missing from a model
+    for noise, and predicts worse.
 
     Args:
         joints: Traces of each servo's joint.
         servos: Servos with the parameters fitted to all samples, each of one row.
-        white: Whether the refits assume white noise, which gives better predictions if physics is
-            missing from the model.
-        ends: For each servo, whether only the ends of its recordings are held out; by default
-            not.
         device: Warp device.
 
     Returns:
         One entry per servo; None where nothing can be held out.
     """
-    only_ends = ends or [False] * len(joints)
-    pairs = [
-        (n, pair) for n, traces in enumerate(joints) for pair in folds(traces, ends=only_ends[n])
-    ]
+    pairs = [(n, pair) for n, traces in enumerate(joints) for pair in folds(traces)]
     if not pairs:
         return [None for _ in joints]
-    training = Batch([fitted for _, (fitted, _) in pairs], device, bounded=False)
-    scoring = Batch([scored for _, (_, scored) in pairs], device)
-    residuals: list[list[Array]] = [[] for _ in joints]
-    theta: list[list[Array]] = [[] for _ in joints]
-    for width in sorted({servos[n].columns.shape[1] for n, _ in pairs}):
-        members = [k for k, (n, _) in enumerate(pairs) if servos[n].columns.shape[1] == width]
-        start = stacked([servos[pairs[k][0]] for k in members]).of_joints(members)
-        fits = minimise(training, start, iterations=10, white=white)
-        errors = residual_angles(scoring, fits)
-        for k, error, row in zip(members, errors, fits.servos.theta, strict=True):
-            n, (_, (trace,)) = pairs[k]
-            residuals[n].append(error[0, : trace.used.size][trace.used])
-            theta[n].append(row)
+    start = stacked([servos[n] for n, _ in pairs]).of_joints(range(len(pairs)))
+    fits = minimise_robustly([fitted for _, (fitted, _) in pairs], start, device=device)
+    scoring = Batch([scored for _, (_, scored) in pairs], device, white=True)
+    residuals, standard, theta = (list[list[Array]]([] for _ in joints) for _ in range(3))
+    errors = residual_angles(scoring, fits)
+    for (n, (_, scored)), error, row in zip(pairs, errors, fits.servos.theta, strict=True):
+        left = [(t, e[: t.t.size]) for t, e in zip(scored, error, strict=False)]
+        residuals[n].append(np.concatenate([e[t.used] for t, e in left]))
+        standard[n].append(np.concatenate([t.standardised(e)[t.used] for t, e in left]))
+        theta[n].append(row)
     return [
-        Unseen(tuple(errors), np.array(rows)) if errors else None
-        for errors, rows in zip(residuals, theta, strict=True)
+        Unseen(tuple(plain), np.array(rows), tuple(relative)) if plain else None
+        for plain, rows, relative in zip(residuals, theta, standard, strict=True)
     ]

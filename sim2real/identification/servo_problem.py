@@ -13,9 +13,10 @@ from sim2real.arrays import Array, Index, Integers, Mask
 from sim2real.effects import CATALOGUE
 from sim2real.inference import least_squares, selection
 from sim2real.inference.evidence import profile_loglikelihood
-from sim2real.inference.least_squares import Expansion
+from sim2real.inference.least_squares import OUTLIER_SD, Expansion
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import COLUMNS, LINE
+from sim2real.servo.trace import Trace
 
 Set = frozenset[str]
 
@@ -288,6 +289,50 @@ def minimise(
     return Fits(
         servos.at(minimum.x), aside["gram"], aside["count"], aside["noise"], minimum.converged
     )
+
+
+def minimise_robustly(
+    joints: Sequence[Sequence[Trace]],
+    servos: Servos,
+    *,
+    device: str = "cpu",
+    iterations: int = 10,
+    rounds: int = 3,
+) -> Fits:
+    """Fit servos with white noise and the soft L1 loss, by reweighted least squares.
+
+    A sample whose residual is beyond ``OUTLIER_SD`` robust standard deviations counts less. Source:
+    Holland, Welsch, Communications in Statistics 6 (1977) 813-827.
+
+    Args:
+        joints: The recordings of each servo, one entry a servo.
+        servos: Starting points, on joints 0, 1 and so on.
+        device: Warp device.
+        iterations: Largest number of evaluations a round.
+        rounds: Largest number of rounds.
+    """
+    weighted = [list(traces) for traces in joints]
+    for number in range(rounds):
+        batch = Batch(weighted, device, white=True)
+        fits = minimise(batch, servos, iterations=iterations, white=True)
+        servos = fits.servos
+        if number == rounds - 1:
+            break
+        errors = residual_angles(batch, fits)
+        largest = 0.0
+        for n, traces in enumerate(joints):
+            pairs = list(zip(traces, errors[n], strict=False))
+            ratios = [trace.standardised(error[: trace.t.size]) for trace, error in pairs]
+            used = [ratio[trace.used] for ratio, trace in zip(ratios, traces, strict=True)]
+            limit = OUTLIER_SD * least_squares.robust_scale(np.concatenate(used))
+            largest = max(largest, *(float(np.abs(x).max(initial=0.0)) / limit for x in used))
+            weighted[n] = [
+                replace(trace, spread=trace.noise_ratio * (1 + (ratio / limit) ** 2) ** 0.25)
+                for trace, ratio in zip(traces, ratios, strict=True)
+            ]
+        if largest < 2:
+            break
+    return fits
 
 
 def variants(servos: Servos) -> Problems:

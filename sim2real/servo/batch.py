@@ -90,7 +90,7 @@ class Batch:
             period = float(np.median(np.concatenate([np.diff(x.t) for x in all_traces[:64]])))
         self.device, self.threads, self.period = device, threads, period
         self.least_gain = WANDER.least_gain(period) if bounded else 0.0
-        self.lags, self.white = lags(period), white
+        self.lags, self.white = 1 if white else lags(period), white
         self.recordings = np.array([len(traces) for traces in joints], dtype=np.int32)
         self.first_signal = np.concatenate([[0], np.cumsum(self.recordings)[:-1]]).astype(np.int32)
         signals, position, self.load = padded(all_traces)
@@ -98,12 +98,15 @@ class Batch:
         counts = np.zeros(position.shape, dtype=np.int32)
         for s, trace in enumerate(all_traces):
             counts[s, : trace.t.size] = counting(trace.used, self.lags)
+        self.weight = np.ones(position.shape)
+        for s, trace in enumerate(all_traces):
+            self.weight[s, : trace.t.size] = 1 / trace.noise_ratio
         self.samples = counts.sum(axis=1)
         self.substeps = np.zeros(len(joints))
         self._span_s = np.array([trace.duration_s for trace in all_traces])
         self._signals = [to_warp(x, device) for x in signals]
         self._position, self._counts = (to_warp(x, device) for x in (position, counts))
-        self._length = self._signals[2]
+        self._length, self._weight = self._signals[2], to_warp(self.weight, device)
         self._contexts = [to_warp(x, device) for x in trace_contexts(all_traces)]
 
     def count(self, joint: Integers) -> Array:
@@ -181,7 +184,7 @@ class Batch:
         launch(whitening.expand, rows.size, [table, table_row, signals, *self._contexts], [theta])
         angle: Any = wp.zeros((rows.size, int(self.length.max())), dtype=wp.float64, device=dev)
         bases, scale = put(base), put(problems.scale[problem, variant])
-        shared = [bases, signals, self._length]
+        shared = [bases, signals, self._length, self._weight]
 
         def run(substep: Array, selected: Index | None = None) -> None:
             latency, on = problems.theta[problem, variant, 2], active[problem, variant]
@@ -208,7 +211,11 @@ class Batch:
         if long_steps:
             angles[servos] = exact
         launch(whitening.residual, rows.size, [*shared, self._position, angle])
-        extras = [self._fetch(angle, first, count, recordings)] if keep else []
+        extras = []
+        if keep:
+            weighted = self._fetch(angle, first, count, recordings)
+            at = self.first_signal[problems.joint][:, None] + np.arange(R)
+            extras.append(weighted / self.weight[np.minimum(at, len(self.weight) - 1)])
         layout = [put(first), put(recordings.astype(np.int32)), put(count), signals, self._length]
         noise_model = coefficients
         if noise_model is None:

@@ -49,6 +49,9 @@ class Trace:
     sample_delay_s: float = 0.0
     # load that varies with time, as on an arm; None if it is constant
     varying: VaryingLoad | None = None
+    # standard deviation of the noise of each reading, relative to that of a joint at rest, (T,);
+    # None where it is the same for all
+    spread: Array | None = None
 
     def window(self, length_s: float = 8.0) -> Trace:
         """The trace from the first change of the command on, for at most ``length_s`` seconds."""
@@ -57,7 +60,8 @@ class Trace:
         last = int(np.searchsorted(self.t, self.t[first] + length_s))
         part = slice(first, max(last, first + 2))
         arrays = {name: getattr(self, name)[part] for name in ("t", "command", "position", "used")}
-        return replace(self, **arrays)
+        spread = None if self.spread is None else self.spread[part]
+        return replace(self, **arrays, spread=spread)
 
     @property
     def gain_factor(self) -> float:
@@ -68,6 +72,15 @@ class Trace:
     def measured(self) -> Array:
         """Measured angles in rad, NaN where not used, shape (T,)."""
         return np.where(self.used, self.position, np.nan)
+
+    @property
+    def noise_ratio(self) -> Array:
+        """``spread``, 1 where the noise is the same for all readings, shape (T,)."""
+        return np.ones(self.t.size) if self.spread is None else self.spread
+
+    def standardised(self, values: Array) -> Array:
+        """Residuals (T,) or (T, K) with the noise of a joint at rest."""
+        return values if self.spread is None else (values.T / self.spread).T
 
     @property
     def period_s(self) -> float:
@@ -114,6 +127,7 @@ def trace(recording: Recording, joint: str) -> Trace:
         drive=None
         if load is None
         else reported_drive(t, command, position, load[powered], context["sample_delay_s"]),
+        spread=None,
         **context,
     )
 

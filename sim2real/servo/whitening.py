@@ -25,17 +25,22 @@ def expand(
 
 
 @wp.kernel(enable_backward=False)
-def difference(base: Rows, signal: Rows, length: Rows, scale: Row, angle: Table) -> None:
-    """Replace the angles of variants by their scaled differences from their servo."""
+def difference(
+    base: Rows, signal: Rows, length: Rows, weight: Table, scale: Row, angle: Table
+) -> None:
+    """Replace the angles of variants by their scaled and weighted differences from their servo."""
     row = wp.tid()
     if base[row] != row:
         for k in range(length[signal[row]]):
-            angle[row, k] = (angle[row, k] - angle[base[row], k]) * scale[row]
+            change = (angle[row, k] - angle[base[row], k]) * scale[row]
+            angle[row, k] = change * weight[signal[row], k]
 
 
 @wp.kernel(enable_backward=False)
-def residual(base: Rows, signal: Rows, length: Rows, position: Table, angle: Table) -> None:
-    """Replace the angles of servos by simulated minus measured angles, 0 where missing."""
+def residual(
+    base: Rows, signal: Rows, length: Rows, weight: Table, position: Table, angle: Table
+) -> None:
+    """Replace the angles of servos by weighted simulated minus measured ones, 0 where missing."""
     row = wp.tid()
     if base[row] == row:
         for k in range(length[signal[row]]):
@@ -43,7 +48,7 @@ def residual(base: Rows, signal: Rows, length: Rows, position: Table, angle: Tab
             if wp.isnan(measured):
                 angle[row, k] = wp.float64(0.0)
             else:
-                angle[row, k] = angle[row, k] - measured
+                angle[row, k] = (angle[row, k] - measured) * weight[signal[row], k]
 
 
 @wp.kernel(enable_backward=False)

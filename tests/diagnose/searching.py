@@ -37,6 +37,5 @@ def searched(noise=NOISE, traces=(), **effects) -> Searched:
     plain = baselines(batch)
     first = plain_sets(plain)
     first_look(ServoSearch(batch, 0.01, rng), first, joints)
-    best = [one.best for one in first]
-    (tried,), problem = search(batch, joints, plain, best, level=0.01, rng=rng)
+    (tried,), problem = search(batch, joints, first, level=0.01, rng=rng)
     return Searched(traces, batch, plain, tried, problem)

@@ -12,6 +12,7 @@ from sim2real.diagnose.case import coarse_step
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.diagnose import diagnose
 from sim2real.diagnose.joint_result import distinctness, exchangeable_ends, law_error, partner
+from sim2real.diagnose.result import Estimate
 from sim2real.diagnose.servo_search import ServoSearch, plain_sets
 from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import COLUMNS
@@ -112,3 +113,10 @@ def test_a_second_filter_is_distinct_where_there_is_one(size):
     problem.try_all([(tried, members, start) for members in sets])
     found = distinctness(tried, tried.tried[sets[0]], *FILTERS)
     assert found > 10 if size else found < 3
+
+
+def test_intervals_of_another_probability_keep_their_sides():
+    wider = Estimate(1.0, 0.4, 0.2, 1.5).widened(2.0)
+    assert (wider.q05, wider.q95) == (0.0, 2.0)
+    narrower = Estimate(-1.0, 0.4, -1.5, -0.2).widened(0.5)
+    assert (narrower.q05, narrower.q95) == (-1.25, -0.6)

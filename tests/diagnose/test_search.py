@@ -111,7 +111,7 @@ def test_a_joint_that_is_looked_at_again_keeps_its_place():
     batch = Batch([clean, odd])
     rng = np.random.default_rng(0)
     joints = [JointCase("clean", clean, NOISE, None), JointCase("odd", odd, NOISE, None)]
-    found = investigate(batch, joints, plain_sets(baselines(batch)), rng=rng)
+    _, found = investigate(batch, joints, plain_sets(baselines(batch)), rng=rng)
     assert found[0].excess < DECISION.structured_excess < found[1].excess
     for finding, noise in zip(found, (NOISE, 3 * NOISE), strict=True):
         left = residual_angles(batch, finding.tried.plain.fit)

@@ -1,0 +1,163 @@
+"""What of a joint's readings is used, and how the noise of each grows with the joint's speed.
+
+Readings that are far from their neighbours are left out. Where the times of reading jitter, as on a
+bus that is polled, the noise grows with speed: a variance of ``rest^2 + (jitter speed)^2``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from sim2real.arrays import Array
+from sim2real.inference.normal import SD_PER_MEDIAN
+from sim2real.readings import wrong_readings
+from sim2real.servo.trace import Trace, sensor_noise
+
+_ORDERS = (4, 5, 6)
+"""Orders of divided differences, which cancel polynomial motion of lower degree."""
+_GROUPS, _FEWEST = 8, 20
+"""Groups of readings of similar speed, and readings that each has at least."""
+
+
+def with_reading_noise(traces: Sequence[Trace]) -> list[Trace]:
+    """The traces without wrong readings, with the spread of the noise of the others."""
+    if not traces:
+        return []
+    kept = [replace(t, used=t.used & ~wrong_readings(t.position)) for t in traces]
+    known = jitter_s(kept)
+    if known is None:
+        return kept
+    jitter, rest = known
+    return [replace(t, spread=np.hypot(1.0, jitter * _speed(t) / rest)) for t in kept]
+
+
+def without_releases(
+    trace: Trace,
+    simulated: Array,
+    *,
+    least_rad: float = 0.25,
+    shortest_s: float = 0.05,
+    recovery_s: float = 0.3,
+    towards_rad_s: float = 0.1,
+) -> Trace:
+    """The trace without the times in which the servo has no torque although it is enabled.
+
+    There the shaft does not follow: for ``shortest_s`` it is further than ``least_rad`` from where
+    a fitted servo would be (``simulated``, in rad, shape (T,)) and does not turn towards that.
+    Until ``recovery_s`` after it is there again, nothing is used.
+    """
+    angle = np.interp(trace.t, trace.t[trace.used], trace.position[trace.used])
+    away = simulated - angle
+    speed = np.gradient(angle, trace.t)
+    lost = (np.abs(away) > least_rad) & (speed * np.sign(away) < towards_rad_s)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]])))
+    used = trace.used.copy()
+    for first, last in edges.reshape(-1, 2):
+        if trace.t[last - 1] - trace.t[first] < shortest_s:
+            continue
+        back = np.flatnonzero((np.abs(away) < least_rad) & (trace.t > trace.t[last - 1]))
+        until = trace.t[back[0]] + recovery_s if back.size else np.inf
+        since = trace.t[first] - shortest_s
+        used &= (trace.t < since) | (trace.t > until)
+    return trace if (used == trace.used).all() else replace(trace, used=used)
+
+
+def left_out(traces: Sequence[Trace]) -> Iterator[str]:
+    """Sentences about readings that are not used, and about noise that grows with speed."""
+    for trace in traces:
+        wrong = wrong_readings(trace.position) & np.isfinite(trace.position)
+        if wrong.any():
+            count = int(wrong.sum())
+            readings = "one reading" if count == 1 else f"{count} readings"
+            yield (
+                f"{readings} of {trace.name} left out, far from those before and after: "
+                f"{_at(trace.t[wrong])}"
+            )
+        lost = np.isfinite(trace.position) & ~trace.used & ~wrong
+        if lost.any():
+            first, last = trace.t[lost][[0, -1]]
+            yield (
+                f"{trace.name} left out from {first:.2f} to {last:.2f} s: the servo does not turn "
+                "towards its set-point, as without torque."
+            )
+    known = None if traces[0].spread is None else jitter_s(traces)
+    if known is not None:
+        jitter = 1e3 * known[0]
+        yield f"the noise grows with speed, as of readings whose times vary by {jitter:.1f} ms."
+
+
+def _at(times: Array, *, most: int = 3) -> str:
+    """Some times in words."""
+    more = ", ..." if times.size > most else ""
+    return f"at {', '.join(f'{t:.2f}' for t in times[:most])}{more} s."
+
+
+def rest_noise(traces: Sequence[Trace]) -> float:
+    """Standard deviation of the noise of a joint at rest, rad."""
+    known = None if traces[0].spread is None else jitter_s(traces)
+    return sensor_noise(traces) if known is None else known[1]
+
+
+def jitter_s(
+    traces: Sequence[Trace], *, least_ratio: float = 4.0, least_share: float = 0.05
+) -> tuple[float, float] | None:
+    """Standard deviation of the times of reading in s, and of the noise at rest in rad.
+
+    From divided differences of neighbouring readings, so that no model of the servo is needed;
+    motion can only increase them, so that the order with the smallest ones counts. None where the
+    noise of the fastest readings is less than ``least_ratio`` times that of the slowest, or times
+    vary by less than ``least_share`` of a period, as those of a sensor that is read in time.
+    """
+    found = [_of_order(traces, order, least_ratio) for order in _ORDERS]
+    smallest = min(found, key=lambda one: -1.0 if one is None else one[0])
+    period = float(np.median([t.period_s for t in traces]))
+    return smallest if smallest is not None and smallest[0] > least_share * period else None
+
+
+def _of_order(
+    traces: Sequence[Trace], order: int, least_ratio: float
+) -> tuple[float, float] | None:
+    """``jitter_s`` from differences of one order."""
+    parts = [_differences(t, order) for t in traces]
+    noise, speed = (np.concatenate(x) for x in zip(*parts, strict=True))
+    if noise.size < _GROUPS * _FEWEST:
+        return None
+    slowest = np.argsort(speed, kind="stable")[: noise.size // _GROUPS]
+    step = max(t.quantization_step() for t in traces) / np.sqrt(12)
+    rest = max(float(np.sqrt(np.mean(noise[slowest] ** 2))), step, 1e-6)
+    times, fastest = _times_s(noise, speed, rest)
+    return (times, rest) if fastest > least_ratio * rest else None
+
+
+def _times_s(noise: Array, speed: Array, rest: float) -> tuple[float, float]:
+    """Standard deviation of times in s that makes such noise (N,), and the noise of the fastest."""
+    order = np.array_split(np.argsort(speed, kind="stable"), _GROUPS)[_GROUPS // 2 :]
+    sd = np.array([SD_PER_MEDIAN * np.median(np.abs(noise[part])) for part in order])
+    typical = np.array([np.mean(speed[part] ** 2) for part in order])
+    return float(np.sqrt(np.median(np.maximum(sd**2 - rest**2, 0.0) / typical))), float(sd[-1])
+
+
+def _differences(trace: Trace, order: int) -> tuple[Array, Array]:
+    """Divided differences of used readings, of the noise's standard deviation, and their speeds."""
+    t, angle = trace.t[trace.used], trace.position[trace.used]
+    if t.size <= order:
+        return np.zeros(0), np.zeros(0)
+    times, angles = (sliding_window_view(x, order + 1) for x in (t, angle))
+    unit = times[:, 1:2] - times[:, :1]
+    gaps = [(times[:, k : k + 1] - np.delete(times, k, axis=1)) / unit for k in range(order + 1)]
+    weight = 1 / np.stack([gap.prod(axis=1) for gap in gaps], axis=1)
+    weight /= np.linalg.norm(weight, axis=1, keepdims=True)
+    speed = np.abs(angles[:, -1] - angles[:, 0]) / (times[:, -1] - times[:, 0])
+    return np.sum(weight * (angles - angles[:, :1]), axis=1), speed
+
+
+def _speed(trace: Trace, *, samples: int = 5) -> Array:
+    """Mean speed of the measured angle around each sample, rad/s, shape (T,)."""
+    angle = np.interp(trace.t, trace.t[trace.used], trace.position[trace.used])
+    speed = np.abs(np.gradient(angle, trace.t))
+    padded = np.pad(speed, samples // 2, mode="edge")
+    return np.asarray(sliding_window_view(padded, samples).mean(axis=1))

@@ -1,0 +1,73 @@
+"""Readings that are left out, and noise that grows with speed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import NOISE, traced
+
+from sim2real.diagnose.reading_noise import (
+    jitter_s,
+    left_out,
+    rest_noise,
+    with_reading_noise,
+    without_releases,
+)
+
+JITTER_S = 2.5e-3
+
+
+@pytest.fixture(scope="module")
+def usual():
+    return traced(1, "a")
+
+
+def fast(jitter_s):
+    """A joint that is read every 10 ms, at rest in part and turning up to 6 rad/s in part."""
+    t, rng = np.arange(0.0, 12.0, 0.01), np.random.default_rng(5)
+
+    def angle(t):
+        return np.sin(0.5 * np.maximum(t - 4, 0) ** 1.7)
+
+    read = angle(t + jitter_s * rng.standard_normal(t.size)) + rng.normal(0, 1e-3, t.size)
+    used = np.ones(t.size, dtype=bool)
+    return replace(traced(1, "a"), t=t, command=angle(t), position=read, used=used)
+
+
+def test_a_sensor_that_is_read_in_time_has_one_noise(usual):
+    for trace in (usual, fast(0.0)):
+        (kept,) = with_reading_noise([trace])
+        assert kept.spread is None
+        assert list(left_out([kept])) == []
+    assert rest_noise([usual]) == pytest.approx(NOISE, rel=0.3)
+
+
+def test_times_that_vary_are_noise_that_grows_with_speed():
+    (kept,) = with_reading_noise([fast(JITTER_S)])
+    found, rest = jitter_s([kept])
+    assert found == pytest.approx(JITTER_S, rel=0.3)
+    assert rest == pytest.approx(1e-3, rel=0.3)
+    assert kept.spread.min() == pytest.approx(1.0, abs=0.2)
+    assert kept.spread.max() > 5
+    assert "times vary by" in next(iter(left_out([kept])))
+
+
+def test_wrong_readings_are_left_out_and_said(usual):
+    position = usual.position.copy()
+    position[[100, 300]] += 3.0
+    (kept,) = with_reading_noise([replace(usual, position=position)])
+    assert np.flatnonzero(~kept.used).tolist() == [100, 300]
+    (said,) = left_out([kept])
+    assert "2 readings of a left out" in said
+
+
+def test_a_release_is_left_out_and_a_slow_servo_is_not(usual):
+    moving = np.flatnonzero(np.abs(np.diff(usual.command)) > 0)[0]
+    hanging = usual.position.copy()
+    hanging[moving:] = usual.position[moving]
+    away = np.abs(usual.position - hanging)
+    released = replace(usual, position=hanging)
+    kept = without_releases(released, usual.position, least_rad=0.5 * float(away.max()))
+    assert (~kept.used).any()
+    assert "left out from" in next(iter(left_out([kept])))
+    assert without_releases(usual, usual.position + 0.01) is usual
