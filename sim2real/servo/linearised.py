@@ -127,13 +127,14 @@ def gain_derivatives(residual: Residual) -> Array:
     inertia, kp, kd = residual.trace.load.inertia_kgm2, residual.kp, residual.kd
     double_pole, slope = (x * change[:, None] / inertia**2 for x in modes.twice(since))
     late = modes.impulse(since) * change[:, None]
-    out = np.zeros((3, T + first + width))
+    ahead = max(-first, 0)  # set-points may act before they are stamped
+    out = np.zeros((3, ahead + T + max(first, 0) + width))
     for row, table in zip(
         out, (-late, -kp * kd * double_pole, kp * (inertia * slope + kd * double_pole)), strict=True
     ):
         for m in range(width):
-            row[first + m : first + m + T] += table[:, m]
-    return out[:, :T].T
+            row[ahead + first + m : ahead + first + m + T] += table[:, m]
+    return out[:, ahead : ahead + T].T
 
 
 def servo_modes(residual: Residual) -> Modes:

@@ -1,6 +1,8 @@
 """Own servo: superposed step responses at exact times, so that nothing is shared with what is
 tested."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -9,7 +11,7 @@ from sim2real.diagnose.angle_noise import with_noise
 from sim2real.diagnose.link_effect import EFFECTS, MOST_LAGS, LinkData, fitted, link_of
 from sim2real.recording import Load
 from sim2real.servo.event_filter import Arrivals, Channel, EventFilter, propagator
-from sim2real.servo.linearised import Residual, servo_modes
+from sim2real.servo.linearised import Residual, gain_derivatives, servo_modes
 from sim2real.servo.trace import Trace
 
 KP, KD, LATENCY, INERTIA = 3.0, 0.12, 0.05, 0.003
@@ -70,6 +72,14 @@ def fitted_servo(t, command, residual, latency):
     used = np.ones(t.size, dtype=bool)
     trace = Trace("r", "r.csv", t, command, command, Load(INERTIA, 0.0), used)
     return Residual(trace, residual, KP, KD, latency)
+
+
+def test_set_points_may_act_before_they_are_stamped():
+    t, sample = np.arange(200) / 50, np.arange(200)
+    plain = fitted_servo(t, np.where(sample < 99, 0.0, 0.3), np.zeros(200), 0.0)
+    late = fitted_servo(t, np.where(sample < 100, 0.0, 0.3), np.zeros(200), 0.0)
+    ahead = replace(late, trace=replace(late.trace, sample_delay_s=0.02))
+    np.testing.assert_allclose(gain_derivatives(ahead), gain_derivatives(plain), atol=1e-9)
 
 
 def fit(effect, *joints):
