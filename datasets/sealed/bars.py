@@ -45,7 +45,7 @@ SINCE_SIXTH = {
     "detection": 0.97, "group_first": 0.94, "outside_abstains": 0.90, "at_noise": 0.92,
     "doubles_both": 0.85,
 }  # fmt: skip
-BARS_OF_SET = {"sixth": SINCE_SIXTH, "seventh": SINCE_SIXTH}
+BARS_OF_SET = dict.fromkeys(("sixth", "seventh", "eighth"), SINCE_SIXTH)
 """Bars of a set by itself, where they differ from those of its tier."""
 ALSO = (
     ("Null cases with another verdict", "nulls_flagged"),
