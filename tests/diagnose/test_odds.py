@@ -53,8 +53,10 @@ def test_a_large_error_on_left_out_data_that_nothing_lowers_has_no_name():
     slipped = {"excess_plain": 1.4, "excess": 1.37, "windows_evidence": 400.0,
                "smooth_evidence": 110.0, "named_evidence": 4.0}  # fmt: skip
     there = {"error_plain": 11.0, "error": 30.0, "groups": 1}
-    assert ODDS["uncatalogued"].probability(scaled(**{**WHOLE, **slipped, **there})) > 0.5
-    assert ODDS["uncatalogued"].probability(scaled(**{**WHOLE, **slipped})) < 0.5
+    late, early = (scaled(**{**WHOLE, **slipped, **more}) for more in (there, {}))
+    assert ODDS["mismatch"].probability(late) > 0.9 > ODDS["mismatch"].probability(early)
+    unknown = ODDS["uncatalogued"].probability
+    assert unknown(late) > 10 * unknown(early)
 
 
 def test_the_effect_that_explains_all_of_a_large_error_is_probable():
@@ -139,7 +141,7 @@ def test_a_link_is_as_likely_on_all_joints_that_share_it(shared):
     alone = judged(findings[1], unseen)
     together = judged_together(findings, [unseen, unseen])
     assert of_link(alone) < of_link(together[1])
-    assert all(of_link(finding) >= 0.9 for finding in together)
+    assert all(of_link(f) >= DECISION.max_uncertain_probability for f in together)
 
 
 def test_events_that_nobody_foretells_are_nothing_outside_the_catalogue(shared):
