@@ -101,7 +101,7 @@ def explained(
 
     ``step_rad`` is the step of its sensor.
     """
-    traces, R = [without_wrong_readings(trace) for trace in (*references, *case)], len(references)
+    traces, R = [*references, *case], len(references)
     way, least = way_of(references, case), 1e-9
     row = row.copy()
     row[BASE.index("inertia_kgm2") : BASE.index("gravity_Nm") + 1] = 0.0
@@ -123,17 +123,6 @@ def explained(
         for t, more, error in zip(traces, shared, errors, strict=True)
     )
     return Explained(way, freed, R, row, least, tuple(mates))
-
-
-def without_wrong_readings(trace: Trace, *, jump_rad: float = 0.5) -> Trace:
-    """A trace without single readings that are far from both neighbours on one side."""
-    used = np.flatnonzero(trace.used)
-    step = np.diff(trace.position[used])
-    wrong = (np.abs(step) > jump_rad)[:-1] & (np.abs(step) > jump_rad)[1:]
-    wrong &= step[:-1] * step[1:] < 0
-    mask = trace.used.copy()
-    mask[used[1:-1][wrong]] = False
-    return replace(trace, used=mask)
 
 
 def _law_errors(

@@ -27,12 +27,17 @@ def with_reading_noise(traces: Sequence[Trace]) -> list[Trace]:
     """The traces without wrong readings, with the spread of the noise of the others."""
     if not traces:
         return []
-    kept = [replace(t, used=t.used & ~wrong_readings(t.position)) for t in traces]
+    kept = [without_wrong_readings(trace) for trace in traces]
     known = jitter_s(kept)
     if known is None:
         return kept
     jitter, rest = known
     return [replace(t, spread=np.hypot(1.0, jitter * _speed(t) / rest)) for t in kept]
+
+
+def without_wrong_readings(trace: Trace) -> Trace:
+    """The trace without single readings that are far from those before and after them."""
+    return replace(trace, used=trace.used & ~wrong_readings(trace.position))
 
 
 def without_releases(

@@ -15,8 +15,9 @@ from sim2real.diagnose.change import Change, what_changed
 from sim2real.diagnose.contrast import Changes, noise_of
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.effect_probabilities import EffectPosterior, Group
-from sim2real.diagnose.explained import way_of, without_wrong_readings
+from sim2real.diagnose.explained import way_of
 from sim2real.diagnose.investigate import ROUNDING, Finding, investigate
+from sim2real.diagnose.reading_noise import without_wrong_readings
 from sim2real.diagnose.result import Experiment
 from sim2real.diagnose.servo_search import ServoSearch, plain_sets
 from sim2real.diagnose.unmodelled import unmodelled

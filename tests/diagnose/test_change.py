@@ -18,8 +18,8 @@ from sim2real.diagnose.explained import (
     explained,
     in_common,
     way_of,
-    without_wrong_readings,
 )
+from sim2real.diagnose.reading_noise import without_wrong_readings
 from sim2real.diagnose.references import law_of, with_known_servos
 from sim2real.errors import InputError
 from sim2real.recording import Load, read_recording
