@@ -194,7 +194,7 @@ def _fit(
         x = fit.x
     normal = problem.covariance(nothing, fit)
     meat = problem.precision(nothing)
-    scores = problem.of_swims(fit.near.slope * fit.rows[:, None])
+    scores = problem.of_swims(fit.slope * fit.rows[:, None])
     for blocks, score in zip(problem.blocks, scores, strict=True):
         first = [a for a, _ in blocks.edges]
         of_blocks = np.add.reduceat(score.sum(axis=1), first, axis=0)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -21,11 +20,12 @@ from sim.inference.swim_parameters import (
     law_parameters,
     servo_parameters,
 )
-from sim.inference.swims import SUBSTEPS, Swim, SwimSimulator, seen, with_values
+from sim.inference.swims import SUBSTEPS, Swim, SwimSimulator, distinct, seen, with_values
 from sim.robot.swimmer import CONTROL_S
 from sim.twin.law import Coefficients
 from sim2real.arrays import Array, Index, Mask
-from sim2real.body import values
+from sim2real.body import listed, values
+from sim2real.effects import CAMERA
 from sim2real.inference.parameters import Parameter
 from sim2real.model import Model
 from sim2real.robot import Robot
@@ -46,21 +46,25 @@ QUICK_S, SLOW_S = 0.12, 0.9
 LATENCY, SUBSTEP_S = ".latency_s", CONTROL_S / SUBSTEPS
 _CURRENT = ("pool_current.u_m_s", "pool_current.v_m_s")
 _STIFF, _RELAX = "skin_viscoelasticity.stiffness_Nm_per_rad", "skin_viscoelasticity.relaxation_s"
-_PULL = ("tether.stiffness_N_per_m", "tether.x_m", "tether.y_m")
-_AREA = ("appendage_drag.area_m2", "appendage_drag.x_m")
 
 
-class Products(NamedTuple):
-    """Limits of the products of an effect's size with its places, which are their coordinates."""
+@dataclass(frozen=True)
+class Placed:
+    """An effect of a size at a place; coordinates are the size, and size times places."""
 
-    bound: float
+    size: str  # name of the size
+    places: tuple[str, ...]  # names of the places
+    bound: float  # bound, step and prior standard deviation of the products
     step: float
     prior_sd: float
-    least_size: float
+    least_size: float  # size below which a place has no influence
 
 
-_PLACED = {_PULL: Products(10.0, 0.05, 0.4, 1e-4), _AREA: Products(0.2, 1e-4, 2e-3, 1e-5)}
-"""Effects with a place: names of their size and places, and limits of the products."""
+_TETHER = Placed("tether.stiffness_N_per_m", ("tether.x_m", "tether.y_m"), 10.0, 0.05, 0.4, 1e-4)
+_PLACED = (
+    _TETHER,
+    Placed("appendage_drag.area_m2", ("appendage_drag.x_m",), 0.2, 1e-4, 2e-3, 1e-5),
+)
 
 
 @dataclass(frozen=True)
@@ -76,18 +80,11 @@ class Column:
     prior_sd: float = np.inf  # standard deviation of the prior of an effect that is present
 
     @property
-    def shown(self) -> bool:
-        """Whether it is added to a finished simulation: camera effects and the current."""
-        of_camera = self.effect is not None and self.effect[1] == "camera"
-        return of_camera or self.name in _CURRENT
-
-    @property
     def kind(self) -> str:
         """Key in ``law_error.json``: the name without joint or material."""
-        parts = self.name.split(".")
-        if self.effect is None:
-            return ".".join((parts[0] if parts[0] in ("twin", "water") else "servo", parts[-1]))
-        return f"{parts[0]}.{parts[-1]}"
+        head, *_, tail = self.name.split(".")
+        own = self.effect is not None or head in ("twin", "water")
+        return f"{head if own else 'servo'}.{tail}"
 
 
 @dataclass(frozen=True)
@@ -112,22 +109,16 @@ class Coordinates:
         """The columns of a diagnosis of a robot with these servos."""
         law = law_parameters(Coefficients.of(model.body), LAW)
         columns = _base([*servo_parameters(model, robot, gains=True), *law])
-        columns += [
-            Column(f"water.{name}", None, 0.0, -4.0, 4.0, 0.5)
-            for name in WATER
-            if name in model.body.get("water", {})
-        ]
-        listed = candidates(robot)
-        columns += [
-            Column(p.name, effect, 0.0, *_limits(effect, free, p))
-            for effect, free in listed.items()
-            for p in free
-        ]
+        waters = model.body.get("water", {})
+        columns += [Column(f"water.{n}", None, 0.0, -4.0, 4.0, 0.5) for n in WATER if n in waters]
+        effects = candidates(robot)
+        for effect, free in effects.items():
+            columns += [Column(p.name, effect, 0.0, *_limits(effect, free, p)) for p in free]
         columns += [
             Column(name, (ERROR, "camera"), 0.0, -1.0, 1.0, 0.01, 0.0)
             for name in signal_error.names(len(robot.joints))
         ]
-        return cls(model, tuple(columns), listed)
+        return cls(model, tuple(columns), effects)
 
     @classmethod
     def of_parameters(cls, model: Model, free: Sequence[Parameter]) -> Coordinates:
@@ -160,39 +151,32 @@ class Coordinates:
         """Points (..., F) within the bounds."""
         return np.clip(x, self.each("low"), self.each("high"))
 
-    def room(self, x: Array) -> Array:
-        """Distances from a point (F,) to the lower and upper bounds, shape (2, F)."""
-        return np.stack([self.each("low") - x, self.each("high") - x])
-
     def parameters(self, x: Array) -> dict[str, float]:
         """Parameters by name at a point (F,), without those of effects whose columns are all 0."""
         out = {c.name: float(v) for c, v in zip(self.columns, x, strict=True)}
-        if _STIFF in out and _RELAX in self.place and self.effects:
+        absent = [e for e in self.effects if not any(x[k] for k in self.of_effect(e))]
+        if _STIFF in out and self.effects:
             quick, slow = max(out[_STIFF], 0.0), max(out[_RELAX], 0.0)
             out[_STIFF] = quick + slow
             share = slow / (quick + slow) if quick + slow > 0 else 0.5
-            out[_RELAX] = float(np.exp((1 - share) * np.log(QUICK_S) + share * np.log(SLOW_S)))
-        for (size, *places), products in _PLACED.items():
-            for name in places if size in out and self.effects else ():
-                place = out[name] / out[size] if out[size] > products.least_size else 0.0
+            out[_RELAX] = float(QUICK_S ** (1 - share) * SLOW_S**share)
+        for placed in _PLACED:
+            for name in placed.places if placed.size in out and self.effects else ():
+                size = out[placed.size]
+                place = out[name] / size if size > placed.least_size else 0.0
                 out[name] = float(np.clip(place, -10.0, 10.0))
-        off = {
-            free[0].name.rpartition(".")[0]
-            for effect, free in self.effects.items()
-            if not any(x[k] for k in self.of_effect(effect))
-        }
-        return {
-            name: v
-            for name, v in out.items()
-            if name.rpartition(".")[0] not in off and (v or not name.startswith(ERROR))
-        }
+        for p in (p for effect in absent for p in self.effects[effect]):
+            del out[p.name]
+        return out
 
     def model_at(self, x: Array) -> Model:
-        """The model at a point (F,); ``seems`` is stored separately, as ``body.seems``."""
-        model = with_values(self.model, self.parameters(x))
-        error = np.broadcast_to(self.seems, x.shape)
-        seems = {self.columns[k].name: float(error[k]) for k in np.flatnonzero(error)}
-        return replace(model, body={**model.body, "seems": seems}) if seems else model
+        """The model at a point (F,); the simulator's error is stored apart, as ``body.seems``."""
+        parameters = self.parameters(x)
+        error = {n: parameters.pop(n) for n in self.place if n.startswith(ERROR)}
+        seems = np.broadcast_to(self.seems, x.shape)
+        error = {n: v + float(seems[self.place[n]]) for n, v in error.items()}
+        model = with_values(self.model, parameters)
+        return replace(model, body={**model.body, "seems": error}) if any(error.values()) else model
 
     def steps(self, x: Array) -> Array:
         """Steps of one-sided derivatives about a point (F,), within the bounds."""
@@ -208,10 +192,10 @@ class Coordinates:
         points = np.tile(x, (x.size + 1, 1))
         points[np.arange(1, x.size + 1), np.arange(x.size)] += self.steps(x)
         base = np.zeros(x.size, dtype=np.intp)
-        for (name, *places), products in _PLACED.items():
-            if name in self.place and x[self.place[name]] < 10 * products.least_size:
-                size = self.place[name]
-                for k in (self.place[place] for place in places):
+        for placed in _PLACED:
+            size = self.place.get(placed.size)
+            if size is not None and x[size] < 10 * placed.least_size:
+                for k in (self.place[name] for name in placed.places):
                     points[k + 1, size] = points[size + 1, size]
                     base[k] = size + 1
         return points, base
@@ -234,57 +218,44 @@ def _limits(
     """Bounds, step and prior standard deviation of the column of an effect's parameter."""
     if p.name == _RELAX:
         return 0.0, 10.0, free[0].typical / 2, 4 * free[0].typical
-    for (_, *places), products in _PLACED.items():
-        if p.name in places:
-            low = 0.0 if p.low == 0.0 else -products.bound
-            return low, products.bound, products.step, products.prior_sd
+    for placed in _PLACED:
+        if p.name in placed.places:
+            low = 0.0 if p.low == 0.0 else -placed.bound
+            return low, placed.bound, placed.step, placed.prior_sd
     low = 0.0 if effect[0] in WATER_FORCES else p.low
-    if p.name == _PULL[0]:
-        return low, p.high, _PLACED[_PULL].step, _PLACED[_PULL].prior_sd
+    if p.name == _TETHER.size:
+        return low, p.high, _TETHER.step, _TETHER.prior_sd
     return low, p.high, 0.5 * p.typical, p.prior_sd
+
+
+def is_shown(name: str) -> bool:
+    """Whether a parameter is added to a finished simulation: camera effects and the current."""
+    return name in _CURRENT or name.partition(".")[0] in {effect.name for effect in CAMERA}
 
 
 def signals_at(
     coordinates: Coordinates, swim: Swim, points: Array, simulate: SwimSimulator
 ) -> Array:
-    """Signals of a swim at points (E, F), (E, T, 3 + J); camera and current need no simulation."""
-    own = values(coordinates.model)
-    shown = [k for k, c in enumerate(coordinates.columns) if c.shown]
-    points = points + coordinates.seems
-    inner = points.copy()
-    inner[:, shown] = 0.0
-    unique, inverse = np.unique(inner, axis=0, return_inverse=True)
-    still = {name: 0.0 for name in _CURRENT if name in own}
-    models = [with_values(coordinates.model, coordinates.parameters(x) | still) for x in unique]
-    track = simulate(models, swim)[inverse.reshape(-1)]
-    return _signals(track, [own | coordinates.parameters(x) for x in points], swim)
+    """Signals of a swim at points (E, F), shape (E, T, 3 + J)."""
+    return signals_of([coordinates.model_at(x) for x in points], swim, simulate)
 
 
 def signals_of(models: Sequence[Model], swim: Swim, simulate: SwimSimulator) -> Array:
-    """Signals of a swim by models; current and camera as in ``signals_at``, shape (E, T, 3 + J)."""
-    parameters = []
-    for model in models:
-        effects = values(model)
-        seems: Mapping[str, float] = model.body.get("seems", {})
-        parameters.append(effects | {name: effects.get(name, 0.0) + v for name, v in seems.items()})
-    in_still_water = [
-        with_values(
-            model,
-            {n: 0.0 if n in _CURRENT else v for n, v in by_name.items() if not n.startswith(ERROR)},
-        )
-        for model, by_name in zip(models, parameters, strict=True)
-    ]
-    return _signals(simulate(in_still_water, swim), parameters, swim)
+    """Signals of a swim by models, shape (E, T, 3 + J).
 
-
-def _signals(track: Array, parameters: Sequence[Mapping[str, float]], swim: Swim) -> Array:
-    """Signals of tracks (E, T, 3 + J) simulated in still water: with current, camera and error."""
-    out = seen(swim.t, track, parameters)
-    for e, by_name in enumerate(parameters):
-        error_sizes = {n: v for n, v in by_name.items() if n.startswith(ERROR)}
-        if error_sizes:
-            shapes = signal_error.shapes(out[e])
-            out[e] += sum(v * shapes[name] for name, v in error_sizes.items())
-    current = [[by_name.get(name, 0.0) for name in _CURRENT] for by_name in parameters]
+    They are simulated in still water; current, camera and the simulator's error are added.
+    """
+    effects = [values(model) for model in models]
+    bare = []
+    for model, known in zip(models, effects, strict=True):
+        inner = listed({name: v for name, v in known.items() if not is_shown(name)})
+        bare.append(replace(model, body={**model.body, "effects": inner, "seems": {}}))
+    unique, inverse = distinct(bare)
+    out = seen(swim.t, simulate(unique, swim)[inverse], effects)
+    for signals, model in zip(out, models, strict=True):
+        if sizes := model.body.get("seems"):
+            shapes = signal_error.shapes(signals)
+            signals += sum(sizes.get(name, 0.0) * shape for name, shape in shapes.items())
+    current = [[known.get(name, 0.0) for name in _CURRENT] for known in effects]
     out[..., :2] += turned(np.array(current)[:, None], -swim.heading)
     return out

@@ -15,11 +15,11 @@ import numpy as np
 
 from sim.inference.coordinates import signals_at
 from sim.inference.in_water import resimulated, robot_in_water, water_of
-from sim.inference.law_error import IN_WATER, LAW_ERROR, LawError, read_law_error
-from sim.inference.searched import HELD_OUT, Searched, learned, raw, searched
+from sim.inference.law_error import IN_WATER, LAW_ERROR, LawError, learned, read_law_error
+from sim.inference.searched import HELD_OUT, Searched, raw, searched
 from sim.inference.swim_decision import Decided, Named, Numbers, decide
 from sim.inference.swim_parameters import Name, Names
-from sim.inference.swim_problem import Fit, repeated
+from sim.inference.swim_problem import Fit
 from sim.inference.swims import FLUID_THREADS, SIGNALS, Swim, SwimSimulator, names_in_files, swim_of
 from sim.inference.unlisted import SHAPES
 from sim.robot.swimmer import CONTROL_S
@@ -67,14 +67,9 @@ def diagnose_recorded_swims(
         law_error = read_law_error(IN_WATER)
         if device != "cpu":
             again = partial(
-                resimulated,
-                robot,
-                water.of(model),
-                swims,
-                water,
-                device=device,
-                threads=FLUID_THREADS,
-            )
+                resimulated, robot, water.of(model), swims, water,
+                device=device, threads=FLUID_THREADS,
+            )  # fmt: skip
     start, simulate = robot_in_water(robot, model, [in_water] if in_water else [])
     with progress_bar("diagnose") as progress:
         diagnosis = diagnose_swims(
@@ -274,7 +269,7 @@ def _remarks(result: Searched, decided: Decided, likely: float, *, referred: boo
             f"times the usual one), more than its turning ({turn:.0f}). A body that rolls or "
             "heaves looks like this to an overhead camera; a planar model cannot follow it."
         )
-    lost = repeated(result.problem.swims)
+    lost = result.problem.repeated
     if lost > _REPEATED:
         yield f"{100 * lost:.0f} % of the poses equal the one before: the camera lost frames."
 

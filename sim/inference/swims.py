@@ -17,7 +17,7 @@ from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim.twin.kernel import start_twin
 from sim.twin.law import Coefficients
 from sim.twin.twin import Twin
-from sim2real.arrays import Array
+from sim2real.arrays import Array, Index
 from sim2real.body import listed, observed, values
 from sim2real.errors import InputError
 from sim2real.model import Model
@@ -203,15 +203,19 @@ def by_fluid(robot: Robot, **options: Any) -> Simulator:  # noqa: ANN401 - those
     """The lattice-Boltzmann fluid as a simulator."""
 
     def run(models: Sequence[Model], command: Array, start: Array) -> Array:
-        swimmer = Swimmer(robot, models, n_envs=len(models), **options)
-        swimmer.reset(pose=start)
-        track = [swimmer.track()]
-        for sent in tqdm(command[:-1], desc="fluid", unit="step", disable=None, leave=False):
-            swimmer.step(sent)
-            track.append(swimmer.track())
-        return np.moveaxis(np.array(track), 0, 1)
+        return swum(Swimmer(robot, models, n_envs=len(models), **options), command, start)
 
     return run
+
+
+def swum(swimmer: Swimmer, commands: Array, start: Array) -> Array:
+    """Tracks (E, T, 3 + J) in the fluid, by set-points for all (T, J), or for each (T, E, J)."""
+    swimmer.reset(pose=start)
+    track = [swimmer.track()]
+    for sent in tqdm(commands[:-1], desc="fluid", unit="step", disable=None, leave=False):
+        swimmer.step(sent)
+        track.append(swimmer.track())
+    return np.moveaxis(np.array(track), 0, 1)
 
 
 def by_followed_twin(robot: Robot, **settings: Any) -> SwimSimulator:  # noqa: ANN401 - options of Twin
@@ -280,6 +284,13 @@ def path_of(steps: Array, start: Array, joint: Array) -> Array:
     first = np.broadcast_to(joint, (E, joint.shape[-1]))[:, None]
     angles = np.concatenate([first, steps[..., 3:]], axis=1)
     return np.concatenate([place, heading[..., None], angles], axis=2)
+
+
+def distinct(models: Sequence[Model]) -> tuple[list[Model], Index]:
+    """Models (U) without repetitions, and the place of each of the E models among them, (E,)."""
+    texts = [repr(model) for model in models]
+    _, first, place = np.unique(texts, return_index=True, return_inverse=True)
+    return [models[k] for k in first], place
 
 
 def with_values(model: Model, parameters: Mapping[str, float]) -> Model:
