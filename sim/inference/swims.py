@@ -199,6 +199,11 @@ def by_twin(robot: Robot, **options: Any) -> Simulator:  # noqa: ANN401 - those 
     return run
 
 
+def of_swims(simulator: Simulator) -> SwimSimulator:
+    """A simulator of swims from their first pose."""
+    return lambda models, swim: simulator(models, swim.command, swim.start)
+
+
 def by_fluid(robot: Robot, **options: Any) -> Simulator:  # noqa: ANN401 - those of Swimmer
     """The lattice-Boltzmann fluid as a simulator."""
 
