@@ -108,24 +108,24 @@ def swim_of(recording: Recording, robot: Robot) -> Swim:
     row = np.searchsorted(recording.t, t + 1e-6, side="right") - 1
     order = [recording.joints.index(joint.name) for joint in robot.joints]
 
-    def resampled(column: Array, delay_s: float = 0.0) -> Array:
-        finite = np.isfinite(column)
-        if finite.sum() < _REST:
-            return np.full(t.size, np.nan)
-        return np.interp(t, recording.t[finite] + delay_s, column[finite])
+    def resampled(columns: Array, delay_s: float = 0.0) -> Array:
+        out = np.full((t.size, columns.shape[1]), np.nan)
+        for k, column in enumerate(columns.T):
+            finite = np.isfinite(column)
+            if finite.sum() >= _REST:
+                out[:, k] = np.interp(t, recording.t[finite] + delay_s, column[finite])
+        return out
 
     pose = np.stack([recording.columns[name] for name in POSES], axis=1)
     pose[:, 2] = np.where(np.isfinite(pose[:, 2]), np.unwrap(np.nan_to_num(pose[:, 2])), np.nan)
-    grid = np.stack([resampled(column) for column in pose.T], axis=1)
+    grid = resampled(pose)
+    joints = resampled(recording.position[:, order], context_of(recording)["sample_delay_s"])
     same = np.all(np.diff(pose[np.isfinite(pose).all(axis=1)], axis=0) == 0, axis=1)
-    late_s = context_of(recording)["sample_delay_s"]
-    joints = np.stack([resampled(recording.position[:, k], late_s) for k in order], axis=1)
     repeated = float(same.mean()) if same.size else 0.0
     regular = len(recording.t) == t.size and np.allclose(recording.t, t, atol=1e-4)
     # the spectrum of the noise is known only where no pose was resampled or lost
-    noise = None
-    if regular and np.isfinite(pose).all() and repeated == 0.0:
-        noise = pose_noise(grid, CONTROL_S)
+    known = regular and np.isfinite(pose).all() and repeated == 0.0
+    noise = pose_noise(grid, CONTROL_S) if known else None
     if noise is None or noise.lag_s == 0:
         noise = PoseNoise(_noise_sd(grid), 0.0, None if noise is None else noise.colour)
     samples = noise.drawn(np.random.default_rng(0), (t.size,), CONTROL_S)
