@@ -108,21 +108,20 @@ class _Sets:
     def predicting(self, likely: Mapping[Name, float]) -> Names:
         """Likely effects that each increase the held-out likelihood, unsure ones the speed's."""
         members, numbers = frozenset(likely), self.numbers
-        while members in self.held_out and members:
-            speed = self.held_out[members][1]
-            smaller = []
-            for name in members:
-                rest = members - {name}
-                if rest not in self.held_out:
-                    continue
+        if members not in self.held_out:
+            return frozenset()
+        smaller = []
+        for name in members:
+            rest = members - {name}
+            if rest in self.held_out:
                 least = (1 - numbers["held_better"]) * max(self.held_out[rest][1], 1e-9)
-                slow = speed > least and likely[name] < numbers["held_sure"]
+                slow = self.held_out[members][1] > least and likely[name] < numbers["held_sure"]
                 if slow or self.held_out_gain(members, rest) < numbers["held_gain"]:
                     smaller.append(rest)
-            if not smaller:
-                return members
-            members = max(smaller, key=lambda subset: self.evidence.get(subset, -np.inf))
-        return members if members in self.held_out else frozenset()
+        if not smaller:
+            return members
+        best = max(smaller, key=lambda subset: self.evidence.get(subset, -np.inf))
+        return self.predicting({name: likely[name] for name in best})
 
 
 def decide(raw: Mapping[str, Any], numbers: Numbers) -> Decided:
