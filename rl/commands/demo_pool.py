@@ -18,8 +18,8 @@ from rl.experiments.ablation import PAPER, ablate, arm_of, read_pretrained
 from rl.sac.plan import plan_of
 from rl.sac.train import train_in_parts
 from sim.inference.calibration import Calibrated, calibrate
+from sim.inference.coordinates import twin_parameters
 from sim.inference.diagnose_swims import diagnose_swims
-from sim.inference.swim_parameters import twin_parameters
 from sim.inference.swims import Swim, by_followed_twin, by_twin, swim_of
 from sim2real.diagnose.result import Diagnosis
 from sim2real.errors import InputError

@@ -16,14 +16,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import norm
 
-from sim.inference.coordinates import Coordinates, signals_at
-from sim.inference.emulator import emulator
-from sim.inference.swim_parameters import (
+from sim.inference.coordinates import (
+    Coordinates,
     effect_parameters,
     servo_parameters,
+    signals_at,
     twin_parameters,
     water_parameters,
 )
+from sim.inference.emulator import emulator
 from sim.inference.swim_problem import SwimPrior, SwimProblem
 from sim.inference.swims import (
     FLUID_THREADS,

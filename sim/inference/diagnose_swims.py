@@ -13,12 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.inference.coordinates import signals_at
+from sim.inference.coordinates import Name, Names, signals_at
 from sim.inference.in_water import resimulated, robot_in_water, water_of
 from sim.inference.law_error import IN_WATER, LAW_ERROR, LawError, learned, read_law_error
 from sim.inference.searched import HELD_OUT, Searched, raw, searched
 from sim.inference.swim_decision import Decided, Named, Numbers, decide
-from sim.inference.swim_parameters import Name, Names
 from sim.inference.swim_problem import Fit
 from sim.inference.swims import FLUID_THREADS, SIGNALS, Swim, SwimSimulator, names_in_files, swim_of
 from sim.inference.unlisted import SHAPES

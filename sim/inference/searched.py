@@ -13,9 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sim.inference.coordinates import Coordinates, is_shown, signals_of
+from sim.inference.coordinates import Coordinates, Names, is_shown, signals_of
 from sim.inference.signal_error import SHARE, of_changes
-from sim.inference.swim_parameters import Names
 from sim.inference.swim_problem import COST, LOST, Fit, SwimPrior, SwimProblem
 from sim.inference.swims import Swim, SwimSimulator
 from sim.inference.unlisted import gains
@@ -34,8 +33,6 @@ HELD_OUT = 0.3
 """Share of each swim, at its end, on which predictions are compared."""
 _RIVALS, _CLOSE = 4, 10.0
 """Number of rivals that are refitted with derivatives of their own, and their log-evidence."""
-_DOUBTFUL = 3.0
-"""Log-evidence above which an error of a strong effect counts as noise."""
 
 
 class SwimSearch(SwimProblem):
@@ -117,20 +114,17 @@ def searched(
 ) -> Searched:
     """Try sets of effects on swims of one robot, with a prior from ``learned``.
 
-    The twin predicts a strong effect with an error in proportion to its change; a second search
-    counts it as noise, except for effects of ``simulated``, the model that the fluid simulated.
+    With the fluid's simulations, the twin predicts an effect with an error in proportion to its
+    change; a second search counts it as noise, except for effects of ``simulated``, the model that
+    the fluid simulated.
     """
     problem = SwimSearch(Coordinates.of(robot, model), swims, simulate, prior)
     found = _search(problem, lambda share: progress(0.5 * share))
     if "water" in model.body:
         best = next(h for h in found if h.members)
-        changes = changed(problem, best.fit.x, simulated)
-        parts = zip(changes, problem.blocks, problem.weights, strict=True)
-        size = sum(float(np.sum(b.about(change) * w**2)) for change, b, w in parts)
-        if 0.5 * SHARE**2 * size > _DOUBTFUL:
-            wider = doubtful(problem, changes)
-            problem = SwimSearch(Coordinates.of(robot, model), swims, simulate, wider)
-            found = _search(problem, lambda share: progress(0.5 + 0.4 * share))
+        wider = doubtful(problem, changed(problem, best.fit.x, simulated))
+        problem = SwimSearch(Coordinates.of(robot, model), swims, simulate, wider)
+        found = _search(problem, lambda share: progress(0.5 + 0.4 * share))
     tried = {hypothesis.members: hypothesis for hypothesis in found}
     plain, best = tried[frozenset()], next(h for h in found if h.members)
     both = {"plain": plain, "best": best}

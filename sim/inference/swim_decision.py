@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from sim.inference.coordinates import WATER_FORCES
+from sim.inference.coordinates import WATER_FORCES, Name, Names
 from sim.inference.signal_error import BANDS, ROWS
-from sim.inference.swim_parameters import Name, Names
 from sim2real.diagnose.result import Verdict
 
 Terms = dict[str, float]

@@ -449,7 +449,7 @@ def test_a_new_effect_is_one_file(tmp_path):
 from dataclasses import replace
 import numpy as np
 import simulated
-from sim.inference.swim_parameters import candidates
+from sim.inference.coordinates import candidates
 from sim.twin.twin import Twin
 from sim2real.body import listed
 from sim2real.diagnose.diagnose import diagnose

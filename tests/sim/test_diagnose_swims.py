@@ -12,13 +12,12 @@ from test_calibrate import SENT, TIMES
 import sim.inference.coordinates as places
 from sim.inference import law_error
 from sim.inference import searched as search
-from sim.inference.coordinates import WATER_FORCES, Coordinates
+from sim.inference.coordinates import WATER_FORCES, Coordinates, candidates
 from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.law_error import LAW_ERROR, learned, read_law_error
 from sim.inference.searched import SwimSearch, searched
 from sim.inference.signal_error import Blocks, spectrum
 from sim.inference.swim_decision import decide
-from sim.inference.swim_parameters import candidates
 from sim.inference.swim_problem import SwimProblem
 from sim.inference.swims import block_bounds, by_followed_twin, by_twin, swim_of, with_values
 from sim2real.body import observed, values

@@ -9,10 +9,9 @@ from test_diagnose_swims import IN_WATER, swum
 
 import sim.inference.coordinates as places
 from sim.inference import signal_error
-from sim.inference.coordinates import Coordinates, signals_at, signals_of
+from sim.inference.coordinates import Coordinates, candidates, signals_at, signals_of
 from sim.inference.law_error import learned
 from sim.inference.searched import searched
-from sim.inference.swim_parameters import candidates
 from sim.inference.swim_problem import SwimProblem
 from sim.inference.swims import by_followed_twin
 from sim2real.model import read_model, write_model
