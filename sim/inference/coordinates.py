@@ -268,12 +268,13 @@ class Coordinates:
 
     def model_at(self, x: Array) -> Model:
         """The model at a point (F,); the simulator's error is stored apart, as ``body.seems``."""
-        parameters = self.parameters(x)
-        error = {n: parameters.pop(n) for n in self.place if n.startswith(ERROR)}
-        seems = np.broadcast_to(self.seems, x.shape)
-        error = {n: v + float(seems[self.place[n]]) for n, v in error.items()}
+        parameters, seems = self.parameters(x), np.broadcast_to(self.seems, x.shape)
+        names = [name for name in parameters if name.startswith(ERROR)]
+        error = {name: parameters.pop(name) + float(seems[self.place[name]]) for name in names}
         model = with_values(self.model, parameters)
-        return replace(model, body={**model.body, "seems": error}) if any(error.values()) else model
+        body = {name: part for name, part in model.body.items() if name != "seems"}
+        stated = {"seems": {name: v for name, v in error.items() if v}}
+        return replace(model, body=body | (stated if any(error.values()) else {}))
 
     def steps(self, x: Array) -> Array:
         """Steps of one-sided derivatives about a point (F,), within the bounds."""
