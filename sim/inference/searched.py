@@ -31,8 +31,10 @@ MOST = 2
 """Largest number of effects of a set, lost frames not counted."""
 HELD_OUT = 0.3
 """Share of each swim, at its end, on which predictions are compared."""
+_CONVERGED = 0.7
+"""Change of the loss by new derivatives below which a fit has converged."""
 _RIVALS, _CLOSE = 4, 10.0
-"""Number of rivals that are refitted with derivatives of their own, and their log-evidence."""
+"""Number of rivals that are fitted to convergence, as the best set is, and their log-evidence."""
 
 
 class SwimSearch(SwimProblem):
@@ -73,6 +75,15 @@ class SwimSearch(SwimProblem):
     def remains(self, ledger: Ledger[Fit], members: Members) -> bool:
         """Whether the best set has effects, so that the search continues."""
         return bool(ledger.best.members)
+
+    def converged(self, hypothesis: Hypothesis[Fit], rounds: int = 3) -> Hypothesis[Fit]:
+        """The hypothesis, linearised and refitted until its loss no longer changes."""
+        for _ in range(rounds):
+            loss = hypothesis.fit.loss
+            hypothesis = self.refined(hypothesis.members, hypothesis.fit, hypothesis.fit)
+            if abs(loss - hypothesis.fit.loss) < _CONVERGED:
+                break
+        return hypothesis
 
 
 class HeldOutErrors(NamedTuple):
@@ -149,8 +160,7 @@ def _search(problem: SwimSearch, progress: Progress) -> list[Hypothesis[Fit]]:
     first, *others = sorted((h for h in ledger.tried.values() if h.members), key=_evidence)
     close = [h.members for h in others[:_RIVALS] if h.evidence > first.evidence - _CLOSE]
     for members in {*close, *_subsets(first.members)[1:]} & ledger.tried.keys():
-        fit = ledger.tried[members].fit
-        ledger.tried[members] = problem.refined(members, fit, fit)
+        ledger.tried[members] = problem.converged(ledger.tried[members])
     progress(1.0)
     return sorted(ledger.tried.values(), key=_evidence)
 

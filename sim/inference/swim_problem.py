@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sim.inference.coordinates import ERROR, Coordinates, signals_at
+from sim.inference.coordinates import ERROR, LATENCY, SUBSTEP_S, Coordinates, signals_at
 from sim.inference.signal_error import Blocks
 from sim.inference.swims import Swim, SwimSimulator
 from sim2real.arrays import Array, Index, Mask
@@ -29,6 +29,8 @@ _STEPS = 6
 _AT_MOST = 3.0
 """Largest imitation of an absent effect by the twin's error, in standard deviations: larger values
 are not due to the error, and the linear model does not hold there."""
+_SHIFTS = (-2.0, -1.0, 1.0)
+"""Sub-steps by which latencies are moved: a fit has minima a sub-step of the twin apart."""
 _EACH, _LARGEST = 3.0, 600.0
 """Log-evidence of one repeated pose for lost frames, and its largest sum."""
 
@@ -225,16 +227,26 @@ class SwimProblem:
         nothing: Members = frozenset()
         x = self.centre(nothing) if x is None else x
         for _ in range(rounds):
-            (fit,) = self.fitted([(nothing, self.at(x))])
+            (fit,) = self.fitted([(nothing, self._shifted(nothing, self.at(x)))])
             x = fit.x
         final = self.at(x)
         return Hypothesis(nothing, final, self.evidence(nothing, final))
 
     def refined(self, members: Members, fit: Fit, nearby: Fit | None = None) -> Hypothesis[Fit]:
         """The fit continued from its point with derivatives there."""
-        (continued,) = self.fitted([(members, self.at(fit.x, members, nearby))])
+        start = self._shifted(members, self.at(fit.x, members, nearby))
+        (continued,) = self.fitted([(members, start)])
         fit = replace(continued, local=True)
         return Hypothesis(members, fit, self.evidence(members, fit))
+
+    def _shifted(self, members: Members, fit: Fit) -> Fit:
+        """The fit with all latencies moved, where that reduces the loss."""
+        columns = self.coordinates.columns
+        late = [c.name.endswith(LATENCY) and c.effect is None for c in columns]
+        points = self.coordinates.clipped(fit.x + SUBSTEP_S * np.outer(_SHIFTS, late))
+        pairs = zip(points, self.rows(points), strict=True)
+        trials = [replace(fit, x=x, rows=rows) for x, rows in pairs]
+        return min([fit, *trials], key=lambda one: self._profile(members, one)[0])
 
     def held(self, members: Members, fit: Fit, share: float) -> tuple[Fit, Mask]:
         """A fit to the first part of each swim, from ``fit``, and the rows that it left out."""
