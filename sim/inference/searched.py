@@ -36,6 +36,9 @@ _CONVERGED = 0.7
 _RIVALS, _CLOSE = 4, 10.0
 """Number of rivals that are fitted to convergence, as the best set is, and their log-evidence."""
 
+_DOUBTFUL = 3.0
+"""Log-evidence above which an error of a strong effect counts as noise."""
+
 
 class SwimSearch(SwimProblem):
     """Swims of one robot as a problem of ``sim2real.inference.selection``."""
@@ -125,17 +128,20 @@ def searched(
 ) -> Searched:
     """Try sets of effects on swims of one robot, with a prior from ``learned``.
 
-    With the fluid's simulations, the twin predicts an effect with an error in proportion to its
-    change; a second search counts it as noise, except for effects of ``simulated``, the model that
-    the fluid simulated.
+    The twin predicts a strong effect with an error in proportion to its change; a second search
+    counts it as noise, except for effects of ``simulated``, the model that the fluid simulated.
     """
     problem = SwimSearch(Coordinates.of(robot, model), swims, simulate, prior)
     found = _search(problem, lambda share: progress(0.5 * share))
     if "water" in model.body:
         best = next(h for h in found if h.members)
-        wider = doubtful(problem, changed(problem, best.fit.x, simulated))
-        problem = SwimSearch(Coordinates.of(robot, model), swims, simulate, wider)
-        found = _search(problem, lambda share: progress(0.5 + 0.4 * share))
+        changes = changed(problem, best.fit.x, simulated)
+        parts = zip(changes, problem.blocks, problem.weights, strict=True)
+        size = sum(float(np.sum(b.about(change) * w**2)) for change, b, w in parts)
+        if 0.5 * SHARE**2 * size > _DOUBTFUL:
+            wider = doubtful(problem, changes)
+            problem = SwimSearch(Coordinates.of(robot, model), swims, simulate, wider)
+            found = _search(problem, lambda share: progress(0.5 + 0.4 * share))
     tried = {hypothesis.members: hypothesis for hypothesis in found}
     plain, best = tried[frozenset()], next(h for h in found if h.members)
     both = {"plain": plain, "best": best}
