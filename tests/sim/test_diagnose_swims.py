@@ -18,7 +18,7 @@ from sim.inference.law_error import LAW_ERROR, learned, read_law_error
 from sim.inference.searched import SwimSearch, searched
 from sim.inference.signal_error import Blocks, spectrum
 from sim.inference.swim_decision import decide
-from sim.inference.swim_problem import SwimProblem
+from sim.inference.swim_problem import COST, SwimProblem
 from sim.inference.swims import block_bounds, by_followed_twin, by_twin, swim_of, with_values
 from sim2real.body import observed, values
 from sim2real.cli import main
@@ -281,7 +281,8 @@ def test_a_mount_that_drifts_is_no_effect_of_the_catalogue(few):
     found = searched([drifts], servos(), FISH, simulate, before)
     shapes = found.nameless["plain"]
     assert max(shapes, key=shapes.__getitem__) == "mount"
-    assert shapes["mount"] > found.best.evidence - found.plain.evidence + 10
+    gain = found.best.evidence - found.plain.evidence + COST * len(found.best.members)
+    assert shapes["mount"] > gain + 10
 
 
 def test_slopes_that_are_renewed_are_those_that_a_fit_moves(few):
