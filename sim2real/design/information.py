@@ -18,7 +18,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.signal import cont2discrete, lfilter
+from scipy.special import ndtri
 
 from sim2real.arrays import Array
 from sim2real.design.limits import CommandLimits
@@ -76,7 +78,6 @@ def prior_of(
     """The prior of one joint, by D ``draws`` of servos from its model, or else its data sheet."""
     joint = robot.joint(limits.joint)
     assert joint is not None
-    rng = np.random.default_rng(seed)
     fitted = None if model is None else model.joints.get(limits.joint)
     if load is None and fitted is not None:
         own = PER_INERTIA if fitted.per_inertia else Load(fitted.inertia_kgm2)
@@ -84,10 +85,11 @@ def prior_of(
     load = load or PER_INERTIA
     still = command_trace(load, np.zeros(2), 1.0)
     motor = motor_prior(joint.servo, [still]) if joint.servo.states(*MOTOR_SHEET) else None
-    if model is None or fitted is None:
-        names, rows = _from_sheet(motor, still, draws, rng)
-    else:
-        names, rows = _from_model(fitted, load, draws, rng)
+    names, row, root = _of_sheet(motor, still) if fitted is None else _of_model(fitted, load)
+    points = ndtri(kronecker(draws, len(names), np.random.default_rng(seed)))
+    points[0] = 0.0
+    rows, columns = np.tile(row, (draws, 1)), [COLUMNS.index(name) for name in names]
+    rows[:, columns] *= np.exp(points @ root.T)
     known = {} if motor is None else {p.name: p.prior_sd for p in motor.parameters if p.log}
     sd = np.array([known.get(name, np.inf) for name in names])
     return ServoPrior(names, rows, sd, load, _noise(model, limits))
@@ -111,65 +113,57 @@ def _noise(model: Model | None, limits: CommandLimits) -> AngleError:
     return AngleError(white, by_angle, lost=max([AngleError.lost, *losses]))
 
 
-def _from_model(
-    joint: JointModel,
-    load: Load,
-    draws: int,
-    rng: np.random.Generator,
-    *,
-    widest_sd: float = 0.5,
-) -> tuple[tuple[str, ...], Array]:
-    """Draws from the intervals of a fitted joint and their correlations, as logarithms."""
+Belief = tuple[tuple[str, ...], Array, Array]
+"""Names of F parameters, a servo (P,), and a root of the covariance of their logarithms (F, F)."""
+
+
+def _of_model(joint: JointModel, load: Load, *, widest_sd: float = 0.5) -> Belief:
+    """A fitted joint, with its intervals and their correlations."""
     row = joint_row(joint, load)
     known = [n for n in joint.interval if n in COLUMNS and row[COLUMNS.index(n)] > 0]
     names = tuple(dict.fromkeys([*GAINS, *known]))
-    columns = [COLUMNS.index(name) for name in names]
+    values = row[[COLUMNS.index(name) for name in names]]
     ends = np.array([joint.interval.get(name, (0.0, np.inf)) for name in names])
-    half = (ends[:, 1] - ends[:, 0]) / (2 * Z90 * np.maximum(row[columns], 1e-12))
+    half = (ends[:, 1] - ends[:, 0]) / (2 * Z90 * np.maximum(values, 1e-12))
     sd = np.where(np.isfinite(half), np.minimum(half, widest_sd), widest_sd)
-    covariance = np.diag(sd**2)
+    correlation = np.eye(len(names))
     for pair, value in joint.correlation.items():
         places = [names.index(name) for name in pair.split(", ") if name in names]
         if len(places) == 2:
-            covariance[places, places[::-1]] = value * sd[places].prod()
-    none = np.zeros(len(names))
-    offset = rng.multivariate_normal(none, covariance, draws, check_valid="ignore", method="eigh")
-    offset[0] = 0.0
-    rows = np.tile(row, (draws, 1))
-    rows[:, columns] = row[columns] * np.exp(offset)
-    return names, rows
+            correlation[places, places[::-1]] = value
+    level, directions = np.linalg.eigh(correlation)
+    return names, row, sd[:, None] * directions * np.sqrt(np.maximum(level, 0.0))
 
 
-def _from_sheet(
+def _of_sheet(
     motor: MotorPrior | None,
     still: Trace,
-    draws: int,
-    rng: np.random.Generator,
     *,
-    frequency_rad_s: tuple[float, float] = (12.0, 50.0),
-    damping_ratio: tuple[float, float] = (0.4, 1.3),
-    latency_s: tuple[float, float] = (0.01, 0.08),
-) -> tuple[tuple[str, ...], Array]:
-    """Servos that the data sheet allows, of usual frequencies, damping ratios and latencies."""
-    points, load = kronecker(draws, 6, rng), still.load
-    low, high = np.log([frequency_rad_s, damping_ratio, latency_s]).T
-    frequency, damping, latency = np.exp(low + points[:, :3] * (high - low)).T
-    rows = np.tile(plain_row(0.0, 0.0, 0.0), (draws, 1))
+    frequency_rad_s: tuple[float, float] = (24.0, 0.4),
+    damping_ratio: tuple[float, float] = (0.72, 0.34),
+    latency_s: tuple[float, float] = (0.028, 0.6),
+) -> Belief:
+    """A servo as the data sheet says, of usual frequency, damping ratio and latency.
+
+    Each has its median and the standard deviation of its logarithm.
+    """
+    usual = np.array([frequency_rad_s, damping_ratio, latency_s])
+    frequency, damping, latency = usual[:, 0]
     line: tuple[str, ...] = ()
+    row = plain_row(0.0, 0.0, latency)
+    row[3:5] = still.load.inertia_kgm2, still.load.gravity_Nm
+    # kp is the frequency squared, kd twice the ratio times the frequency, times the inertia
+    root = np.array([[2.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]) * usual[:, 1]
     if motor is not None:
         line = (*LINE, ROTOR) if shows_inertia([still]) else LINE
         parameters = [motor[name] for name in line]
-        # of the prior's rotors the lighter ones: stated loads mostly include the rotor
-        middle = np.array([0.5, 0.5, 1.0])[: len(line)]
-        share = np.sqrt(12) * (points[:, 3 : 3 + len(line)] - middle)
-        values = np.exp(column(parameters, "nominal") + share * column(parameters, "prior_sd"))
-        rows[:, [COLUMNS.index(name) for name in line]] = values
-    inertia = load.inertia_kgm2 + rows[:, ROTOR_INERTIA]
-    rows[:, 0] = frequency**2 * inertia
-    rows[:, 1] = 2 * damping * frequency * inertia
-    rows[:, 2] = latency
-    rows[:, 3:5] = load.inertia_kgm2, load.gravity_Nm
-    return (*GAINS, *line), rows
+        middle, sd = column(parameters, "nominal"), column(parameters, "prior_sd")
+        # lighter rotors than usual: stated loads mostly include the rotor
+        middle[2:] -= sd[2:]
+        row[[COLUMNS.index(name) for name in line]] = np.exp(middle)
+        root = block_diag(root, np.diag(sd))
+    row[:2] = np.array([frequency**2, 2 * damping * frequency]) * (row[3] + row[ROTOR_INERTIA])
+    return (*GAINS, *line), row, root
 
 
 def command_trace(load: Load, command: Array, period_s: float) -> Trace:

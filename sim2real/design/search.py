@@ -47,10 +47,10 @@ def chirp(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
 def holds(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
     """Random levels, each held for a random time."""
     shortest, longest = np.sort(_log_uniform(rng, 0.5 / highest_hz, 1.5, 2))
-    levels, place = _intervals(rng, t, shortest, longest)
-    size = rng.uniform(0.2, 1.0, levels) ** rng.choice([0.3, 1.0])
-    side = rng.choice([-1.0, 1.0], levels)
-    return np.asarray((side * size)[place])
+    ends = np.cumsum(rng.uniform(shortest, longest, int(t[-1] / shortest) + 2))
+    size = rng.uniform(0.2, 1.0, ends.size) ** rng.choice([0.3, 1.0])
+    side = rng.choice([-1.0, 1.0], ends.size)
+    return np.asarray((side * size)[np.searchsorted(ends, t, side="right")])
 
 
 def spline(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
@@ -64,40 +64,13 @@ def spline(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
 FAMILIES: tuple[Family, ...] = (multisine, chirp, holds, spline)
 
 
-def draw(
-    rng: np.random.Generator,
-    count: int,
-    limits: CommandLimits,
-    seconds: float,
-    *,
-    mixed: float = 0.4,
-    highest_hz: float = HIGHEST_HZ,
-) -> Array:
-    """Random commands within the limits, rad, (N, T); the share ``mixed`` has parts of several."""
+def draw(rng: np.random.Generator, count: int, limits: CommandLimits, seconds: float) -> Array:
+    """Random commands within the limits, rad, shape (N, T)."""
     t = limits.times(seconds)
     size = limits.reach_rad * rng.uniform(0.4, 1.1, (count, 1))
-    shapes = [_shape(rng, t, k, mixed, highest_hz) for k in range(count)]
+    families = rng.integers(len(FAMILIES), size=count)
+    shapes = [FAMILIES[k](rng, t, HIGHEST_HZ) for k in families]
     return limits.within(limits.rest_rad + size * np.array(shapes))
-
-
-def _shape(rng: np.random.Generator, t: Array, k: int, mixed: float, highest_hz: float) -> Array:
-    if rng.random() >= mixed:
-        return FAMILIES[k % len(FAMILIES)](rng, t, highest_hz)
-    parts = np.array_split(np.arange(t.size), int(rng.integers(2, 7)))
-    out = np.empty(t.size)
-    for part in parts:
-        family = FAMILIES[int(rng.integers(len(FAMILIES)))]
-        out[part] = family(rng, t[part] - t[part[0]], highest_hz)
-    return out
-
-
-def _intervals(
-    rng: np.random.Generator, t: Array, shortest: float, longest: float
-) -> tuple[int, np.ndarray]:
-    """Number of intervals of random lengths, and the interval of each time (T,)."""
-    ends = np.cumsum(rng.uniform(shortest, longest, int(t[-1] / shortest) + 2))
-    place = np.searchsorted(ends, t, side="right")
-    return int(place[-1]) + 1, place
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float, count: int) -> Array:
@@ -172,7 +145,7 @@ def _varied(
     command: Array, elite: Array, limits: Limits, rng: np.random.Generator, draw: Draw
 ) -> Array:
     """One of the best commands (T, ...), of which a part of a thirtieth to a half is changed."""
-    kind, out, T = int(rng.integers(5)), command.copy(), len(command)
+    kind, out, T = int(rng.integers(4)), command.copy(), len(command)
     length = int(T * np.exp(rng.uniform(np.log(0.03), np.log(0.5))))
     begin = int(rng.integers(0, T - length))
     part = slice(begin, begin + length)
@@ -185,10 +158,6 @@ def _varied(
         out[part] = new[:length]
     elif kind == 2:  # larger or smaller about rest
         out[part] = limits.rest_rad + (out[part] - limits.rest_rad) * np.exp(0.3 * rng.normal())
-    elif kind == 3:  # faster or slower
-        rate = float(np.exp(0.25 * rng.normal()))
-        places = np.minimum(begin + rate * np.arange(length), T - 1)
-        out[part] = make_interp_spline(np.arange(T), command, k=1)(places)
     else:  # by smooth random changes
         width = float(np.exp(rng.uniform(np.log(1.0), np.log(12.0))))
         noise = gaussian_filter1d(rng.normal(size=out[part].shape), width, axis=0)

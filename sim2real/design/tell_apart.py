@@ -156,21 +156,19 @@ def design_for_rivals(
         none = "no joint with several probable sets of effects"
         raise InputError(request.file, "rival_sets", none, "a diagnosis that leaves some open")
     _check_joints(rivals, contexts, robot, request.file)
-    seconds, offered, limits = request.seconds, [AS_IT_IS, *contexts], {}
+    seconds, offered, limits = request.seconds, [AS_IT_IS, *contexts], []
     for one in rivals:
         own = replace(limits_of(robot, one.component), period_s=one.period_s)
         check_seconds(seconds, own)
         for context in contexts:
-            if one.component in context.loads:
-                own = holding(own, context.loads[one.component], robot)
-        limits[one.component] = own
-    count = max(own.times(seconds).size for own in limits.values())
+            own = holding(own, context.loads.get(one.component, PER_INERTIA), robot)
+        limits.append(own)
+    count = max(own.times(seconds).size for own in limits)
     commands = int(np.clip(samples / count, 64, 800) / len(offered))
     plans: list[tuple[float, Context, list[JointForecast]]] = []
     for context in offered:
         score, joints = change_gain * (context is AS_IT_IS), []
-        for k, one in enumerate(rivals):
-            own = limits[one.component]
+        for k, (one, own) in enumerate(zip(rivals, limits, strict=True)):
             objective = JointObjective(one, context, rms_torque_Nm=own.rms_torque_Nm)
             found = best(
                 objective, own, seconds,
@@ -205,10 +203,10 @@ def _check_joints(
     file: str | os.PathLike[str],
 ) -> None:
     """Check that the robot has the joints of a diagnosis and of contexts, whose loads are known."""
-    known = ", ".join(joint.name for joint in robot.joints)
     of_contexts = {name: "contexts" for context in contexts for name in context.loads}
     for name, where in ({one.component: file for one in rivals} | of_contexts).items():
         if robot.joint(name) is None:
+            known = ", ".join(joint.name for joint in robot.joints)
             raise InputError(where, "", f"joint {name!r}", f"a joint of {robot.name}: {known}")
     for one in rivals:
         if one.load is PER_INERTIA and one.component in of_contexts:
@@ -225,12 +223,11 @@ def forecast(objective: RivalObjective, command: Array, *, achieved: float = 0.4
     """
     p, distances = objective.probability, objective.distances(command[None])
     sets = [one.effects for one in objective.rivals.sets]
-    places = list(combinations(range(len(sets)), 2))
-    places.sort(key=lambda pair: -p[pair[0]] * p[pair[1]])
-    apart = [(i, j, float(distances[0, i, j])) for i, j in places]
+    places = sorted(combinations(range(p.size), 2), key=lambda pair: -p[pair[0]] * p[pair[1]])
     pairs = tuple(
-        ExpectedSeparation(sets[i], sets[j], distance, float(ndtr(np.sqrt(2 * distance))))
-        for i, j, distance in apart
+        ExpectedSeparation(sets[i], sets[j], float(d), float(ndtr(np.sqrt(2 * d))))
+        for i, j in places
+        for d in [distances[0, i, j]]
     )
     before, bound = entropy(p), float(remaining_entropy(p, distances)[0])
     remaining = before - achieved * (before - bound)
