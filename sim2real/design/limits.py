@@ -45,11 +45,8 @@ class CommandLimits:
     @property
     def ticks(self) -> tuple[int, int]:
         """Smallest and largest set-point in units of the resolution."""
-        low, high = self.position_rad
-        return (
-            int(np.ceil(low / self.resolution_rad - 1e-9)),
-            int(np.floor(high / self.resolution_rad + 1e-9)),
-        )
+        low, high = np.array(self.position_rad) / self.resolution_rad
+        return int(np.ceil(low - 1e-9)), int(np.floor(high + 1e-9))
 
     @property
     def most_ticks(self) -> int:

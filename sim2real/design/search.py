@@ -13,10 +13,6 @@ from scipy.ndimage import gaussian_filter1d
 from sim2real.arrays import Array
 from sim2real.design.limits import CommandLimits
 
-Family = Callable[[np.random.Generator, Array, float], Array]
-"""A function of the generator, the times (T,) in s from 0 and the highest frequency in Hz, which
-returns a signal of about -1 to 1, shape (T,)."""
-
 HIGHEST_HZ = 8.0
 """Highest frequency of the commands; natural frequencies of servos are mostly below it."""
 SLOWEST_HZ = 0.1
@@ -61,7 +57,8 @@ def spline(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
     return _scaled(make_interp_spline(knots, np.sign(size) * np.abs(size) ** 0.5)(t), rng)
 
 
-FAMILIES: tuple[Family, ...] = (multisine, chirp, holds, spline)
+FAMILIES = (multisine, chirp, holds, spline)
+"""Signals of about -1 to 1, (T,), by a generator, times (T,) from 0 and the highest frequency."""
 
 
 def draw(rng: np.random.Generator, count: int, limits: CommandLimits, seconds: float) -> Array:
