@@ -79,15 +79,6 @@ def test_lost_set_points_cost_commands_that_change_all_the_time_most(commands):
     assert ratio(commands[0]) > 1.2 * ratio(steps) > 1.2
 
 
-def test_sums_over_parts_are_those_of_the_whole(commands):
-    information = Information(prior_of(ROBOT, None, LIMITS, load=LOAD, draws=2), LIMITS)
-    parts = information.statistics(commands, 5)
-    assert parts.shape[:2] == (4, 5)
-    np.testing.assert_allclose(
-        information.scores(parts.sum(axis=1)), information(commands), atol=0.02
-    )
-
-
 def test_torque_beyond_the_budget_is_penalised():
     shake = 0.8 * np.sign(np.sin(2 * np.pi * 3 * LIMITS.times(6.0)))[None]
     prior = plain(AngleError(1e-3, 0.0), Load(0.02))
