@@ -67,7 +67,7 @@ def _searched(problem: ServoProblem, rows: Array, noise: tuple[float, float], st
     found = []
     for row in rows:
         own = replace(problem, row=row)
-        x, loss, _, _ = search(own, own.searched(row[None]), noise, steps)
+        x, loss, _ = search(own, own.searched(row[None]), noise, steps)
         found.append((float(loss[0]), own.rows(x)[0]))
     best: Array = min(found, key=lambda pair: pair[0])[1]
     return best

@@ -13,11 +13,15 @@ from sim2real.effects import named
 from sim2real.effects.effect import Effect
 from sim2real.errors import InputError, check_choice, check_positive, check_whole, names_of
 from sim2real.identification import advice
-from sim2real.identification.motor_choice import choose_motor
-from sim2real.identification.plain_fit import fit_effects, fit_plain, with_inertia
+from sim2real.identification.joint_fit import (
+    choose_motor,
+    fit_effects,
+    fit_plain,
+    with_inertia,
+)
 from sim2real.identification.priors import MOTOR_SHEET, gains
 from sim2real.identification.problem import Fit
-from sim2real.identification.search import continued, errors_of
+from sim2real.identification.search import errors_of, fit
 from sim2real.identification.uncertainty import (
     GAINS,
     Uncertainty,
@@ -182,20 +186,24 @@ def _fits(
     before: _JointFits | None = None,
 ) -> _JointFits:
     """Choose what is fitted to one joint, from the fits to a part of the data if there are some."""
-    rng, noise, effects = np.random.default_rng(seed), sensor_noise(data), options.effects
+    rng, effects = np.random.default_rng(seed), options.effects
+
+    def again(fewer: Fit) -> Fit:
+        problem = replace(fewer.problem, traces=data)
+        return fit(problem, fewer.minima, rounds=3, first=10, later=10, effort=options.effort)
+
     if before is None or before.without_influence:
-        plain, without_influence = fit_plain(data, noise, rng, servo, options.effort)
+        plain, without_influence = fit_plain(data, rng, servo, options.effort)
     else:
-        plain, without_influence = continued(before.plain, data, effort=options.effort), []
+        plain, without_influence = again(before.plain), []
     motor: Fit | None = None
     if servo is not None and not without_influence:
         losses = not effects or data[0].varying is None
         fewer = None if before is None else before.motor
-        motor = choose_motor(data, plain, servo, noise, rng, losses=losses, before=fewer)
+        motor = choose_motor(data, plain, servo, rng, losses=losses, before=fewer)
     base = best = motor if motor is not None and BASE[0] in motor.names else plain
     if effects:
-        again = None if before is None else continued(before.best, data, effort=options.effort)
-        best = again or fit_effects(data, base, effects, rng)
+        best = fit_effects(data, base, effects, rng) if before is None else again(before.best)
     return _JointFits(plain, without_influence, motor, base, best)
 
 

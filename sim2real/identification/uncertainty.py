@@ -228,7 +228,7 @@ def _profiled(
         point[0, k] = trial
         fixed = problem.rows(point)
         profile = replace(problem, row=fixed[0], parameters=others)
-        refitted, loss, _, _ = search(profile, profile.searched(fixed), (best.scale_rad, 1.0), 16)
+        refitted, loss, _ = search(profile, profile.searched(fixed), (best.scale_rad, 1.0), 16)
         if (loss[0] - best.loss(best.scale_rad)) / max(spread.inflation, 1.0) > _limit(spread):
             return False
         row = profile.rows(refitted)[0]
