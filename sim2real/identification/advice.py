@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from sim2real.arrays import Array
+from sim2real.effects import named
 from sim2real.identification.control_loop import undetected_loop
+from sim2real.identification.joint_fit import refitted
 from sim2real.identification.problem import Fit
-from sim2real.identification.search import errors_of
-from sim2real.identification.uncertainty import Uncertainty, uncertainty
+from sim2real.identification.search import error_on
+from sim2real.identification.uncertainty import Uncertainty, as_good, uncertainty
 from sim2real.inference.least_squares import rms
 from sim2real.inference.parameters import column
 from sim2real.noise import ABOVE_NOISE
@@ -209,24 +210,19 @@ def on_motor(motor: Fit, spread: Uncertainty, servo: Servo) -> list[str]:
     return notes
 
 
-def on_optima(
-    names: Sequence[str], values: Array, half_width: Array, optima: Sequence[Array] | Array
-) -> list[str]:
-    """A note on the other optimum that differs most, if one fits the recordings as well.
-
-    Of F columns, their values (F,), half-widths of their intervals (F,) and values at other optima
-    with the same loss, each of shape (F,).
-    """
-    apart = [np.abs(other - values) > half_width for other in optima]
-    if not any(differs.any() for differs in apart):
+def on_optima(best: Fit, spread: Uncertainty) -> list[str]:
+    """A note on the other optimum that differs most, if one fits the recordings as well."""
+    half_width = spread.half_width * best.problem.unit
+    half_width = np.where(best.problem.log, best.values * np.expm1(half_width), half_width)
+    apart = as_good(best, spread) - best.values
+    differs = np.abs(apart) > half_width
+    if not differs.any():
         return []
-    most = max(range(len(apart)), key=lambda k: int(apart[k].sum()))
+    most = int(differs.sum(axis=1).argmax())
     differences = ", ".join(
-        f"{readable_name(name)} {other:.3g} instead of {value:.3g}"
-        for name, value, other, differs in zip(
-            names, values, optima[most], apart[most], strict=True
-        )
-        if differs
+        f"{readable_name(best.names[k])} {best.values[k] + apart[most, k]:.3g} "
+        f"instead of {best.values[k]:.3g}"
+        for k in np.flatnonzero(differs[most])
     )
     return [
         f"another optimum fits these recordings as well, with {differences}; recordings of other "
@@ -234,17 +230,18 @@ def on_optima(
     ]
 
 
-def on_inertia(fixed: Fit, free: Fit, scored: Sequence[Trace], stated: Load) -> list[str]:
+def on_inertia(fixed: Fit, scored: Sequence[Trace], stated: Load) -> list[str]:
     """A note where the data contradict the stated inertia, for instance because of a geared rotor.
 
     It requires an inertia that differs significantly, and a better fit of held-out data as well.
     """
+    free = refitted(fixed.problem.traces, fixed.row, [named("unmodelled_inertia")])
     spread = uncertainty(free, repeating=False)
     extra, sd = float(free.row[INERTIA_LEFT_OUT]), float(spread.sd[3] * free.problem.unit[3])
     before, after = (rms([f.error]) for f in (fixed, free))
-    heldout = [rms(errors_of(f.row, scored)) for f in (fixed, free)]
+    heldout = [error_on(f.row, scored) or 0.0 for f in (fixed, free)]
     significant = abs(extra) > max(3 * sd, _MATERIAL * stated.inertia_kgm2)
-    if not significant or after > 0.95 * before or (scored and heldout[1] > heldout[0]):
+    if not significant or after > 0.95 * before or heldout[1] > heldout[0]:
         return []
     shift = 1e3 * (free.row[2] - fixed.row[2])
     return [

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim2real.identification.priors import gains, inertia_left_out
+from sim2real.effects import named
+from sim2real.identification.priors import gains, of_effects
 from sim2real.identification.problem import ServoProblem
 from sim2real.identification.starts import first_guess
 from sim2real.inference.normal import Z90
@@ -27,7 +28,7 @@ def expected_precision(recording: Recording, joint: str, *, seed: int = 0) -> tu
     inertia, kp = trace.load.inertia_kgm2, float(start[0])
     names, parameters = ["kp", "kd", "latency", "inertia left out"], list(gains(inertia))
     if trace.load is not PER_INERTIA and trace.load.gravity_Nm > 0:  # a pendulum
-        parameters.append(inertia_left_out(start, inertia))
+        parameters += of_effects([named("unmodelled_inertia")], start, inertia)
     problem = ServoProblem(moving, start, tuple(parameters))
     x = problem.searched(start[None])
     _, (slopes,) = problem.slopes(x, rough=False)

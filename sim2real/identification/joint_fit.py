@@ -15,7 +15,6 @@ from sim2real.identification.control_loop import fit_sampled_loop
 from sim2real.identification.priors import (
     MotorPrior,
     gains,
-    inertia_left_out,
     motor_prior,
     nominal_rotor,
     of_effects,
@@ -82,21 +81,17 @@ def fit_plain(
     return best, without_influence
 
 
-def with_inertia(best: Fit) -> Fit:
-    """Fit again with free inertia, from the given fit and from one with more inertia."""
-    heavier = best.row.copy()
-    heavier[:3] *= 1.3, 1.3, 0.3
-    heavier[INERTIA_LEFT_OUT] = 0.3 * best.inertia
-    free = (*gains(best.inertia), inertia_left_out(best.row, best.inertia))
-    problem = ServoProblem(best.problem.traces, best.row, free)
-    return fit(problem, np.array([best.row, heavier]))
-
-
 def refitted(traces: Sequence[Trace], row: Array, effects: Sequence[Effect] = ()) -> Fit:
-    """Fit gains, latency and effects, starting from a similar servo (P,)."""
+    """Fit gains, latency and effects, from a similar servo (P,) and one with more inertia."""
     inertia = scale_inertia(traces, row)
     free = (*gains(inertia), *of_effects(effects, row, inertia))
-    return fit(ServoProblem(traces, row, free), row[None])
+    starts = row[None]
+    if any(effect.name == "unmodelled_inertia" for effect in effects):
+        heavier = row.copy()
+        heavier[:3] *= 1.3, 1.3, 0.3
+        heavier[INERTIA_LEFT_OUT] = 0.3 * inertia
+        starts = np.stack([row, heavier])
+    return fit(ServoProblem(traces, row, free), starts)
 
 
 def fit_effects(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -44,12 +43,6 @@ def gains(inertia: float) -> tuple[Parameter, Parameter, Parameter]:
         Parameter(BASE[1], 1e-3 * inertia, 1.6e3 * inertia, LOG_UNIT, log=True),
         Parameter(BASE[2], 0.0, 0.5, 0.05),
     )
-
-
-def inertia_left_out(row: Array, inertia: float) -> Parameter:
-    """Inertia missing from the stated load; negative if the stated inertia is too large."""
-    size = inertia + float(row[INERTIA_LEFT_OUT])
-    return Parameter(COLUMNS[INERTIA_LEFT_OUT], -0.9 * inertia, 20.0 * inertia, size)
 
 
 def scale_inertia(traces: Sequence[Trace], row: Array) -> float:
@@ -158,20 +151,10 @@ class MotorPrior:
         in N m s/rad.
         """
         middle = float(np.exp(self[LINE[0]].nominal)) / kd / damping_share[0]
-        flat = self.changed(
-            LINE[1],
-            low=middle / 10,
-            high=middle * 100,
-            typical=2 * damping_share[1],
-            nominal=np.log(middle),
-            prior_sd=np.inf,
-        )
-        return replace(flat, ties=Ties(damping_share=damping_share))
-
-    def changed(self, name: str, **fields: Any) -> MotorPrior:  # noqa: ANN401 - of any field
-        """The prior with other fields of one parameter."""
-        changed = (replace(p, **fields) if p.name == name else p for p in self.parameters)
-        return replace(self, parameters=tuple(changed))
+        unit, nominal = 2 * damping_share[1], np.log(middle)
+        speed = Parameter(LINE[1], middle / 10, middle * 100, unit, nominal, log=True)
+        changed = tuple(speed if p.name == LINE[1] else p for p in self.parameters)
+        return MotorPrior(changed, Ties(damping_share=damping_share))
 
 
 def motor_prior(

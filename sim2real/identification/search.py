@@ -9,7 +9,7 @@ import numpy as np
 
 from sim2real.arrays import Array, Index
 from sim2real.identification.problem import Fit, ServoProblem
-from sim2real.inference.least_squares import Expansion, cannot_win, minimise, robust_scale
+from sim2real.inference.least_squares import Expansion, cannot_win, minimise, rms, robust_scale
 from sim2real.inference.parameters import column
 from sim2real.servo.parameters import LOSSES, ROTOR
 from sim2real.servo.trace import Trace
@@ -171,3 +171,8 @@ def errors_of(row: Array, traces: Sequence[Trace]) -> tuple[Array, ...]:
         return ()
     problem = ServoProblem(traces, row, ())
     return problem.by_trace(problem.residuals(np.zeros((1, 0)))[0])
+
+
+def error_on(row: Array, traces: Sequence[Trace]) -> float | None:
+    """Root mean square of these errors in rad; None without traces."""
+    return rms(errors_of(row, traces)) if traces else None

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from scipy.special import stdtrit
@@ -45,6 +46,11 @@ class Uncertainty:
         """Correlations, shape (F, F)."""
         size = np.outer(self.sd, self.sd)
         return np.asarray(self.covariance / np.where(size > 0, size, 1.0))
+
+    def by_pair(self, names: Sequence[str]) -> dict[str, float]:
+        """Correlation of each pair of parameters, by their names."""
+        pairs = combinations(range(len(names)), 2)
+        return {f"{names[i]}, {names[j]}": float(self.correlation[i, j]) for i, j in pairs}
 
     @property
     def undetermined(self) -> set[int]:
