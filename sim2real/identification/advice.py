@@ -11,7 +11,7 @@ from sim2real.identification.control_loop import undetected_loop
 from sim2real.identification.joint_fit import refitted
 from sim2real.identification.problem import Fit
 from sim2real.identification.search import error_on
-from sim2real.identification.uncertainty import Uncertainty, as_good, uncertainty
+from sim2real.identification.uncertainty import Uncertainty, uncertainty
 from sim2real.inference.least_squares import rms
 from sim2real.inference.parameters import column
 from sim2real.noise import ABOVE_NOISE
@@ -214,7 +214,8 @@ def on_optima(best: Fit, spread: Uncertainty) -> list[str]:
     """A note on the other optimum that differs most, if one fits the recordings as well."""
     half_width = spread.half_width * best.problem.unit
     half_width = np.where(best.problem.log, best.values * np.expm1(half_width), half_width)
-    apart = as_good(best, spread) - best.values
+    limit = 2.0 if best.problem.ties is not None else spread.least_loss
+    apart = best.problem.values(best.as_good(limit)) - best.values
     differs = np.abs(apart) > half_width
     if not differs.any():
         return []

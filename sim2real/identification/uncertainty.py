@@ -189,9 +189,3 @@ def beyond_data_sheet(
         return {}
     both = ((gain, ends[gain]) for gain in GAINS if gain in ends)
     return {gain: (min(low, low * factor), max(up, up * factor)) for gain, (low, up) in both}
-
-
-def as_good(best: Fit, spread: Uncertainty) -> Array:
-    """Other minima that explain the recordings as well, in SI units, shape (M, F)."""
-    limit = 2.0 if best.problem.ties is not None else spread.least_loss
-    return best.problem.values(best.as_good(limit))
