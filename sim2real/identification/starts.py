@@ -40,18 +40,10 @@ def first_guess(
     in a few narrower rounds, others around the best of them (the cross-entropy method: Rubinstein,
     Methodology and Computing in Applied Probability 1 (1999) 127-190).
 
-    Args:
-        traces: The recorded joint, one trace per recording.
-        rng: Generator for the candidates.
-        rotor_kgm2: Inertia of the candidates in addition to that of the load.
-        fastest_rad_s: Largest natural frequency of the candidates in rad/s.
-        guesses: Number of servos in the first round.
-        elite: Number of the best servos, about which further ones are drawn.
-        spreads: Standard deviations of variations in each round, as shares of the ranges.
-        rival_error: Largest error of a further servo, relative to the smallest error.
-        rival_distance: Smallest difference of its gain, as a share of the range: there is none
-            where the recordings determine the gain.
-        most_rivals: Largest number of further servos.
+    Candidates have ``rotor_kgm2`` in addition to the load's inertia and natural frequencies up to
+    ``fastest_rad_s``. Where the recordings determine the gain there is one servo: further ones
+    have an error within a factor ``rival_error`` of the smallest and gains that differ by
+    ``rival_distance`` of the range.
     """
     trace = _most_active(traces)
     inertia = trace.load.inertia_kgm2 + rotor_kgm2
