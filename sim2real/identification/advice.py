@@ -29,29 +29,21 @@ _MATERIAL = 0.05
 
 
 def on_recordings(recordings: Sequence[Recording], still: Sequence[str]) -> tuple[str, ...]:
-    """Notes on joints that do not move and on recordings made in water."""
+    """Notes on joints that do not move, recordings in water, and other gains of the firmware."""
     notes = [f"{joint} does not move in these recordings and is not identified" for joint in still]
     wet = [recording.name for recording in recordings if recording.medium == "water"]
     if wet:
         notes.append(f"recorded in water ({', '.join(wet)}): drag and added mass bias the gains")
-    return tuple(notes)
-
-
-def on_gains(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """A note on recordings with other gains of the firmware."""
     gains = {recording.name: firmware_gain(recording) for recording in recordings}
-    known = [gain for gain in gains.values() if gain is not None]
-    if len(set(gains.values())) < 2:
-        return ()
-    others = ", ".join(f"{gain:g}" for gain in dict.fromkeys(known[1:]) if gain != known[0])
-    notes = []
-    if others:
+    known = list(dict.fromkeys(gain for gain in gains.values() if gain is not None))
+    if len(known) > 1:
+        others = ", ".join(f"{gain:g}" for gain in known[1:])
         notes.append(
             f"kp is that of the firmware gain {known[0]:g}; recordings with a gain of {others} "
             "were fitted with kp in proportion to it"
         )
     unknown = ", ".join(name for name, gain in gains.items() if gain is None)
-    if unknown:
+    if known and unknown:
         notes.append(f"{unknown}: no firmware_p_gain is stated, and {known[0]:g} was assumed")
     return tuple(notes)
 

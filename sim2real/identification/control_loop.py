@@ -17,6 +17,7 @@ from sim2real.arrays import Array, Index
 from sim2real.identification.priors import MotorPrior
 from sim2real.identification.problem import Fit, ServoProblem
 from sim2real.identification.search import fit, search
+from sim2real.inference.parameters import apart
 from sim2real.servo.parameters import BASE, COLUMNS, LINE, LOOP, ROTOR, beyond_load
 from sim2real.servo.trace import Trace
 
@@ -157,16 +158,11 @@ def _rates(times: Array, spread: Array, *, count: int = 6) -> Array:
         begin = np.exp(2j * np.pi * rates[first] * times)
         coherence = np.abs(np.einsum("rk,rk,k->r", weight, turned[: hz.size], begin)) ** 2
         power[first : first + block] = coherence / np.maximum((weight**2).sum(axis=1), 1e-9)
-    chosen: list[float] = []
-    for k in np.argsort(-power):
-        if all(abs(rates[k] - other) > 5 * fine for other in chosen):
-            chosen.append(float(rates[k]))
-        if len(chosen) == count:
-            break
-    for lower in [rate / n for rate in chosen for n in (2, 3)]:  # of harmonics
-        if lower > _RATES_HZ[0] and all(abs(lower - other) > 5 * fine for other in chosen):
-            chosen.append(lower)
-    return np.array(chosen)
+    order = np.argsort(-power)
+    chosen = rates[order[apart(rates[order, None], 5 * fine, count)]]
+    lower = np.concatenate([chosen, chosen / 2, chosen / 3])  # of harmonics
+    lower = lower[lower > _RATES_HZ[0]]
+    return np.asarray(lower[apart(lower[:, None], 5 * fine)])
 
 
 def _starts(

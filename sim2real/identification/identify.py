@@ -108,9 +108,7 @@ def identify(
     return Model(
         joints={joint: model for joint, (model, _, _) in results.items()},
         fit={f"{joint}.position_rad": figures for joint, (_, figures, _) in results.items()},
-        notes=warnings
-        + advice.on_recordings(recordings, [j for j in recorded if j not in moving])
-        + advice.on_gains(recordings),
+        notes=warnings + advice.on_recordings(recordings, [j for j in recorded if j not in moving]),
         provenance=origin | {"held_out": {j: held for j, (_, _, held) in results.items()}},
         firmware_p_gain=next(filter(None, map(firmware_gain, recordings)), None),
         interval_level=interval,

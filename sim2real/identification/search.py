@@ -10,6 +10,7 @@ import numpy as np
 from sim2real.arrays import Array, Index
 from sim2real.identification.problem import Fit, ServoProblem
 from sim2real.inference.least_squares import Expansion, cannot_win, minimise, rms, robust_scale
+from sim2real.inference.parameters import apart
 from sim2real.servo.trace import Trace
 
 _SAME_SCALE = 0.05
@@ -59,7 +60,7 @@ def fit(
             if abs(scale / before - 1) < _SAME_SCALE:
                 break
     noise = robust_scale(error), problem.inflation(error)
-    x = x[_distinct(x)]
+    x = x[apart(x, 0.1)]
     best, _, converged = search(problem, x[:1], noise, round(effort * last), settled=1e-6)
     x = np.concatenate([best, x[1:]])
     loss = problem.loss(x, problem.residuals(x), *noise)
@@ -114,15 +115,6 @@ def search(
     order = np.argsort(minimum.expansion.loss)
     loss = 2 * minimum.expansion.loss[order]
     return minimum.x[order], loss, bool(minimum.converged[order[0]])
-
-
-def _distinct(x: Array, *, same: float = 0.1) -> Index:
-    """Indices of the minima (M, F) that differ from all before them."""
-    kept = [0]
-    for k in range(1, len(x)):
-        if (np.abs(x[kept] - x[k]).max(axis=1) > same).all():
-            kept.append(k)
-    return np.array(kept)
 
 
 def errors_of(row: Array, traces: Sequence[Trace]) -> tuple[Array, ...]:

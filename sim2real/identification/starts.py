@@ -9,7 +9,7 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.identification.problem import Fit, ServoProblem, plain_row
-from sim2real.inference.parameters import kronecker
+from sim2real.inference.parameters import apart, kronecker
 from sim2real.servo.parameters import BASE, COLUMNS, INERTIA_LEFT_OUT, LINE, ROTOR
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace
@@ -69,7 +69,7 @@ def first_guess(
         points = np.vstack([points, drawn])
     order = np.argsort(error)
     alike = points[order[error[order] < rival_error * error[order[0]]]]
-    chosen = _apart(alike[:, :1], rival_distance, 1 + most_rivals)
+    chosen = apart(alike[:, :1], rival_distance, 1 + most_rivals)
     return _rows(alike[chosen], inertia, rotor_kgm2)
 
 
@@ -82,7 +82,7 @@ def drawn(
     most: int = 12,
     strengths: tuple[float, float] = (0.3, 10.0),
     absent: float = 0.25,
-    apart: float = 0.5,
+    distance: float = 0.5,
 ) -> Array:
     """Servos (S, P) for a problem with more parameters than a fit, which start from that fit.
 
@@ -90,7 +90,7 @@ def drawn(
     their typical values, within ``strengths``, or ``absent`` in a share of the draws. As these
     take over a part of the gains, half of the draws have other gains. The first servo is nearest to
     the fit, followed by those with the smallest errors in the segment with most motion, each
-    ``apart`` from the others in a parameter, in natural units.
+    at a ``distance`` from the others in a parameter, in natural units.
     """
     rows = np.tile(problem.row, (draws, 1))
     known = [COLUMNS.index(name) for name in base.names if name in problem.names]
@@ -120,7 +120,7 @@ def drawn(
     size = np.mean(np.abs(windowed.residuals(x, rough=True)), axis=1)
     size[0] = 0.0
     order = np.argsort(size)
-    return np.asarray(rows[order[_apart(x[order] / problem.natural, apart, most)]])
+    return np.asarray(rows[order[apart(x[order] / problem.natural, distance, most)]])
 
 
 def servos_at(points: Array, inertia: float | Array) -> Array:
@@ -149,14 +149,3 @@ def _most_active(traces: Sequence[Trace]) -> Trace:
     windows = [trace.window() for trace in traces]
     moving = [window for window in windows if window.moves() and window.used.any()]
     return max(moving or [trace for trace in traces if trace.used.any()], key=Trace.activity)
-
-
-def _apart(points: Array, distance: float, most: int) -> list[int]:
-    """The first points (N, F), ``most`` at most, that each differ from the others in a value."""
-    chosen: list[int] = []
-    for k, point in enumerate(points):
-        if (np.abs(points[chosen] - point).max(axis=1) > distance).all():
-            chosen.append(k)
-        if len(chosen) == most:
-            break
-    return chosen
