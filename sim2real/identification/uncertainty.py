@@ -81,52 +81,42 @@ def uncertainty(
     wide = np.where(np.isfinite(prior_sd), np.maximum(2 * prior_sd, 1.0), problem.natural)
     tempering = best.scale_rad**2 * best.inflation
     prior_precision = tempering * best.prior * np.outer(wide, wide)
-    curvature = np.zeros((F, F))
-    plain = np.zeros_like(curvature)
-    spread = np.zeros_like(curvature)
-    squares, effective, spans = 0.0, 0.0, []
-    size = OUTLIER_SD * best.scale_rad
-    for error, slopes in zip(best.residuals, problem.by_trace(best.slopes), strict=True):
-        slope = slopes * wide
-        z2 = (error / size) ** 2
-        score = (error / np.sqrt(1 + z2))[:, None] * slope
-        curvature += (slope / (1 + z2[:, None]) ** 1.5).T @ slope
-        plain += slope.T @ slope
+    slopes, z2 = best.slopes * wide, (best.error / (OUTLIER_SD * best.scale_rad)) ** 2
+    score = (best.error / np.sqrt(1 + z2))[:, None] * slopes
+    curvature = (slopes / (1 + z2[:, None]) ** 1.5).T @ slopes + prior_precision
+    noise, spread = float(np.mean(best.error**2 / (1 + z2))), tempering * prior_precision
+    independent = noise * slopes.T @ slopes + spread
+    effective, spans = 0.0, []
+    for error, part_of_score in zip(best.residuals, problem.by_trace(score), strict=True):
         time = correlation_samples(error)
-        span = bandwidth(error.size, time)
-        spread += long_run(score, span)
-        spans.append(span)
-        squares += float(np.sum(error**2 / (1 + z2)))
+        spans.append(bandwidth(error.size, time))
+        spread = spread + long_run(part_of_score, spans[-1])
         effective += error.size / time
-    curvature += prior_precision
-    spread += tempering * prior_precision
     parts, freedoms = spread[None], np.array([max(effective - F, 1.0)])
     if repeating:
         of_angle, coefficients = repeating_error(best, best.prior * tempering)
         parts = np.concatenate([parts, of_angle * np.outer(wide, wide)])
         freedoms = np.append(freedoms, np.maximum(coefficients, 1.0))
         spread = parts.sum(axis=0)
-    samples = best.error.size
     eigen, directions = np.linalg.eigh(curvature)
     least = 1e-12 * max(eigen[-1], 1e-300)
     eigen = np.maximum(eigen, least)
-    independent = (squares / samples) * plain + tempering * prior_precision
-    along = np.maximum(
-        np.einsum("ik,ij,jk->k", directions, spread, directions),
-        np.einsum("ik,ij,jk->k", directions, independent, directions),
-    )
+    both = np.stack([spread, independent])
+    along = np.einsum("ik,cij,jk->ck", directions, both, directions).max(axis=0)
     # curvature without information is round-off of either sign
     along_sd = np.where(eigen > least, np.sqrt(np.maximum(along, 0.0)) / eigen, np.inf)
     determined = along_sd < 1.0
     inverse = directions[:, determined] / eigen[determined] @ directions[:, determined].T
-    at_least = inverse @ independent @ inverse
-    covariance = _raised_to(inverse @ spread @ inverse, at_least)
+    covariance, at_least = inverse @ both @ inverse
+    raised = _ratio(np.diag(at_least), np.diag(covariance))
+    raised = np.sqrt(np.maximum(raised, 1.0))
+    covariance = covariance * np.outer(raised, raised)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     variances = np.einsum("ij,cjk,ki->ci", inverse, parts, inverse)
     weights = _ratio(variances**2, np.maximum(variances.sum(axis=0), 1e-300) ** 2)
     freedom = _ratio(np.ones(F), (weights / freedoms[:, None]).sum(axis=0))
     student = stdtrit(freedom, 0.5 + level / 2)
-    quantile = student * fixed_b(float(np.mean(spans)), samples, level)
+    quantile = student * fixed_b(float(np.mean(spans)), best.error.size, level)
     return Uncertainty(
         covariance=covariance * np.outer(wide, wide),
         half_width=np.asarray(quantile * sd * wide),
@@ -140,12 +130,6 @@ def uncertainty(
 
 def _ratio(variance: Array, least: Array) -> Array:
     return np.divide(variance, least, out=np.ones_like(variance), where=least > 0)
-
-
-def _raised_to(covariance: Array, least: Array) -> Array:
-    """Scale a covariance up where its variances fall below those of independent residuals."""
-    factor = np.sqrt(np.maximum(_ratio(np.diag(least), np.diag(covariance)), 1.0))
-    return np.asarray(covariance * np.outer(factor, factor))
 
 
 def intervals(best: Fit, spread: Uncertainty) -> dict[str, tuple[float, float]]:
