@@ -88,9 +88,9 @@ def drawn(
 
     What the fit does not have is drawn from its prior; parameters of effects are a multiple of
     their typical values, within ``strengths``, or ``absent`` in a share of the draws. As these
-    take over a part of the gains, half of the draws have other gains. The first servo is nearest to
-    the fit, followed by those with the smallest errors in the segment with most motion, each
-    at a ``distance`` from the others in a parameter, in natural units.
+    take over a part of the gains, half of the draws have other gains. The first draw is kept, and
+    those with the smallest errors in the segment with most motion, each at a ``distance`` from the
+    others in a parameter, in natural units.
     """
     rows = np.tile(problem.row, (draws, 1))
     known = [COLUMNS.index(name) for name in base.names if name in problem.names]
