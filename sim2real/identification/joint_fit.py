@@ -236,7 +236,7 @@ def fit_motor(
     if starts is None:
         draws, most = (512, 3 if SOFT[0] in names else 12) if lossy else (64, 4)
         starts = drawn(problem, base, rng, draws=draws, most=most)
-    return fit(problem, starts, behind=200.0 if lossy else 30.0)
+    return fit(problem, starts, behind=200.0 if lossy else 30.0, rng=rng if lossy else None)
 
 
 def _likeliest(options: Sequence[Fit]) -> Fit:

@@ -10,7 +10,6 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.body import body_effect, values
-from sim2real.inference.normal import LEVEL
 from sim2real.model import JointModel, Model
 from sim2real.noise import difference_noise, noise_floor
 from sim2real.posterior.servo import ServoPosterior
@@ -60,12 +59,17 @@ def from_model(
     values |= {f"motor.{name}": value for name, value in model.motor.items()}
     for effect in model.effects:
         values |= {f"{effect.effect}.{name}": x for name, x in effect.parameters.items()}
-    out = []
+    out, its = [], f"the model: its {100 * level:g} % interval"
     for name, value in values.items():
-        if f"{joint}.{name}" not in existing and not _is_absent(name, model):
-            unit = unit_of(name, per_inertia=model.per_inertia)
-            ends = model.interval.get(name)
-            out.append(_within(f"{joint}.{name}", value, ends, unit, "the model", level))
+        if f"{joint}.{name}" in existing or _is_absent(name, model):
+            continue
+        low, high = model.interval.get(name, (value, value))
+        source = its if name in model.interval else "the model: its value; it gives no interval"
+        if not (math.isfinite(low) and math.isfinite(high)):
+            source = f"{its}, an open end taken at the value"
+            low, high = (end if math.isfinite(end) else value for end in (low, high))
+        unit = unit_of(name, per_inertia=model.per_inertia)
+        out.append(uniform(f"{joint}.{name}", low, high, unit, source))
     absent = ", ".join(
         f"{name} (to {model.interval[name][1]:.2g})"
         for name in sorted({*values, *model.interval} - {_STRIBECK_SPEED})
@@ -73,24 +77,6 @@ def from_model(
     )
     note = f"{joint}: no range, as the {100 * level:g} % interval begins at 0: {absent}"
     return out, [note] if absent else []
-
-
-def _within(
-    name: str,
-    value: float,
-    ends: Sequence[float | None] | None,
-    unit: str,
-    whose: str,
-    level: float = LEVEL,
-) -> Range:
-    """A range by a value's interval, or the value alone; open ends are at the value."""
-    if ends is None:
-        return uniform(name, value, value, unit, f"{whose}: its value; it gives no interval")
-    open_ends = [end is None or not math.isfinite(end) for end in ends]
-    low, high = (value if out else end or 0.0 for end, out in zip(ends, open_ends, strict=True))
-    source = f"{whose}: its {100 * level:g} % interval"
-    source += ", an open end taken at the value" * any(open_ends)
-    return uniform(name, low, high, unit, source)
 
 
 def _is_absent(name: str, model: JointModel) -> bool:
@@ -122,17 +108,22 @@ def body_ranges(model: Model) -> list[Range]:
     intervals: Mapping[str, Any] = model.body.get("interval") or {}
     out = []
     for name, value in values(model).items():
-        ends = [finite_number(x) for x in intervals[name]] if name in intervals else None
+        low, high, source = value, value, "the model's body: its value; it gives no interval"
+        if name in intervals:
+            ends = [finite_number(end) for end in intervals[name]]
+            low, high = (value if end is None else end for end in ends)
+            source = "the model's body: its 90 % interval"
         effect, *_, parameter = name.split(".")
         unit = next(p.unit for p in body_effect(effect).parameters if p.name == parameter)
-        out.append(_within(f"body.{name}", value, ends, unit, "the model's body"))
+        out.append(uniform(f"body.{name}", low, high, unit, source))
     return out
 
 
 def shared_ranges(model: Model) -> list[Range]:
     """Effects of the supply and the link, which all joints share, with the model's values."""
+    source = "the model: its value; it gives no interval"
     return [
-        _within(f"{effect.effect}.{name}", value, None, unit_of(name), "the model")
+        uniform(f"{effect.effect}.{name}", value, value, unit_of(name), source)
         for effect in model.effects
         for name, value in effect.parameters.items()
     ]

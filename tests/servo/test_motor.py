@@ -12,6 +12,9 @@ from scipy.integrate import solve_ivp
 
 from sim2real.errors import InputError
 from sim2real.identification.identify import identify
+from sim2real.identification.problem import ServoProblem
+from sim2real.identification.search import robust_order
+from sim2real.inference.parameters import Parameter
 from sim2real.model import JointModel, Model, read_model, write_model
 from sim2real.recording import Load, Recording
 from sim2real.robot import Joint, Link, Robot, Servo
@@ -291,3 +294,24 @@ def test_a_loop_in_step_with_the_samples_is_said_not_to_be_told(odd):
     assert len(said) == (0 if odd else 1)
     if said:
         assert "at 100 Hz" in said[0]
+
+
+def test_of_several_minima_the_one_with_the_best_neighbours_comes_first():
+    class Problem(ServoProblem):
+        """A narrow minimum of 0 at 0.2 and a wide one of 0.1 at 0.6."""
+
+        def residuals(self, x, *, rough=False):
+            value = self.values(x)
+            narrow = np.minimum(np.abs(value - 0.2) / 0.005, 1.0)
+            wide = np.minimum(0.1 + np.abs(value - 0.6), 1.0)
+            return np.minimum(narrow, wide)
+
+        def terms(self, x):
+            return np.zeros_like(x)
+
+    friction = Parameter("motor.motor_friction", 0.0, 0.9, 0.2, 0.0, 0.4)
+    problem = Problem((), row(), (friction,))
+    minima = np.array([[0.2], [0.6]]) / 0.2
+    assert problem.residuals(minima)[0] < problem.residuals(minima)[1]
+    order = robust_order(problem, minima, (0.1, 1.0), np.random.default_rng(0))
+    assert list(order) == [1, 0]
