@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -13,6 +13,7 @@ from scipy.stats import chi2
 from sim2real.arrays import Array
 from sim2real.identification.problem import Fit
 from sim2real.identification.repeating_error import repeating_error
+from sim2real.identification.search import search
 from sim2real.inference.correlated_noise import bandwidth, correlation_samples, fixed_b, long_run
 from sim2real.inference.least_squares import OUTLIER_SD
 from sim2real.inference.normal import LEVEL
@@ -32,6 +33,7 @@ class Uncertainty:
     half_width: Array  # half-widths of intervals, without regard to open directions, shape (F,)
     # indices of the parameters of each direction that is not determined
     open_directions: tuple[tuple[int, ...], ...]
+    inflation: float  # largest ratio of the variance to that for independent residuals
     level: float  # probability of the intervals
 
     @property
@@ -52,8 +54,8 @@ class Uncertainty:
 
     @property
     def least_loss(self) -> float:
-        """Loss beyond these intervals: of a region, which may be disconnected."""
-        return float(chi2.ppf(self.level, 3))  # hence of three parameters
+        """Loss at the bounds of a region, which may be disconnected: hence of three parameters."""
+        return float(chi2.ppf(self.level, 3))
 
     @property
     def undetermined(self) -> set[int]:
@@ -124,6 +126,7 @@ def uncertainty(
             tuple(int(i) for i in np.flatnonzero(np.abs(directions[:, k]) > part))
             for k in np.flatnonzero(~determined)
         ),
+        inflation=float(np.max(_ratio(sd**2, np.diag(at_least)), initial=1.0)),
         level=level,
     )
 
@@ -132,24 +135,37 @@ def _ratio(variance: Array, least: Array) -> Array:
     return np.divide(variance, least, out=np.ones_like(variance), where=least > 0)
 
 
-def intervals(best: Fit, spread: Uncertainty) -> dict[str, tuple[float, float]]:
+def intervals(
+    best: Fit, spread: Uncertainty, *, largest_symmetric: float = 0.15
+) -> dict[str, tuple[float, float]]:
     """Intervals of the fitted parameters, by name, with their prior if they have one.
 
-    Symmetric as searched, and of a servo without a motor wide enough for all other minima that fit
-    the recordings as well; from bound to bound in a direction that is not determined. An upper end
-    at the bound is infinite.
+    Symmetric as searched; of a servo without a motor by profile likelihood, where that is wide (a
+    relative half-width of a gain, or half-width in units, above ``largest_symmetric``) or another
+    minimum outside fits the recordings as well. An upper end is infinite if the recordings do not
+    determine it; ends are within the bounds and include all minima that fit equally well.
     """
     problem, (low, high) = best.problem, best.problem.box
-    points = best.x[None]
-    if problem.ties is None and all("." not in name for name in problem.names):
-        points = np.vstack([points, best.as_good(spread.least_loss)])
-    lower = np.minimum(points.min(axis=0), best.x - spread.half_width)
-    upper = np.maximum(points.max(axis=0), best.x + spread.half_width)
-    for k in spread.undetermined:
-        lower[k], upper[k] = low[k], high[k]
-    ends = problem.values(np.clip([lower, upper], low, high))
-    ends[1, upper >= high] = np.inf
-    return {p.name: (float(ends[0, k]), float(ends[1, k])) for k, p in enumerate(best.parameters)}
+    plain = problem.ties is None and all("." not in name for name in problem.names)
+    most = largest_symmetric * problem.natural
+    equal = best.as_good(spread.least_loss) if plain else np.empty((0, best.x.size))
+    result = {}
+    for k, p in enumerate(best.parameters):
+        x, half = float(best.x[k]), float(spread.half_width[k])
+        ends = max(x - half, low[k]), min(x + half, high[k])
+        if plain:
+            values = np.append(equal[:, k], x)
+            if k in spread.undetermined or half > most[k] or np.abs(values - x).max() > half:
+                first = max(min(half, 3.0), 0.1) / 2
+                ends = _profiled(best, k, -first, spread), _profiled(best, k, first, spread)
+            ends = min(ends[0], values.min()), max(ends[1], values.max())
+        elif k in spread.undetermined:
+            ends = low[k], high[k]
+        si = np.array([best.x, best.x])
+        si[:, k] = ends
+        lower, upper = problem.values(si)[:, k]
+        result[p.name] = float(lower), np.inf if ends[1] >= high[k] else float(upper)
+    return result
 
 
 def beyond_data_sheet(
@@ -173,3 +189,40 @@ def beyond_data_sheet(
         return {}
     both = ((gain, ends[gain]) for gain in GAINS if gain in ends)
     return {gain: (min(low, low * factor), max(up, up * factor)) for gain, (low, up) in both}
+
+
+def _profiled(
+    best: Fit, k: int, first: float, spread: Uncertainty, *, steps: int = 24, bisections: int = 3
+) -> float:
+    """End of the profile likelihood's interval of one parameter, or its bound without one."""
+    problem, x = best.problem, float(best.x[k])
+    limit = problem.box[1][k] if first > 0 else problem.box[0][k]
+    others = tuple(p for n, p in enumerate(problem.parameters) if n != k)
+    row = best.row
+
+    def moved(step: float) -> float:
+        return float(min(x + step, limit) if first > 0 else max(x + step, limit))
+
+    def accounts(trial: float) -> bool:
+        nonlocal row
+        point = problem.searched(row[None])
+        point[0, k] = trial
+        fixed = problem.rows(point)
+        profile = replace(problem, row=fixed[0], parameters=others)
+        refitted, loss, _ = search(profile, profile.searched(fixed), (best.scale_rad, 1.0), 16)
+        if (loss[0] - best.loss(best.scale_rad)) / max(spread.inflation, 1.0) > spread.least_loss:
+            return False
+        row = profile.rows(refitted)[0]
+        return True
+
+    inside, outside = 0.0, first
+    for _ in range(steps):
+        if not accounts(moved(outside)):
+            break
+        if moved(outside) == limit:
+            return float(limit)
+        inside, outside = outside, 2 * outside
+    for _ in range(bisections):
+        middle = 0.5 * (inside + outside)
+        inside, outside = (middle, outside) if accounts(moved(middle)) else (inside, middle)
+    return moved(0.5 * (inside + outside))

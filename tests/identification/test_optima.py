@@ -28,7 +28,7 @@ def fit_with(others):
 
 def test_an_optimum_outside_the_interval_is_named_with_what_differs():
     half_width = np.array([0.1, 0.0001]) / [1.0, 1e-3]
-    spread = Uncertainty(np.eye(2), half_width, (), 0.9)
+    spread = Uncertainty(np.eye(2), half_width, (), 1.0, 0.9)
     (note,) = advice.on_optima(fit_with([[2.05, 0.003]]), spread)
     assert "rotor inertia 0.003 instead of 0.002" in note
     assert "kp" not in note
