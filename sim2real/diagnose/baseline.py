@@ -9,7 +9,6 @@ import numpy as np
 from sim2real.arrays import Array, Mask
 from sim2real.diagnose.screening import NUISANCES, candidate
 from sim2real.effects import named
-from sim2real.identification.first_guess import servos_at
 from sim2real.identification.servo_problem import (
     Fits,
     Servos,
@@ -19,6 +18,7 @@ from sim2real.identification.servo_problem import (
     plain_servos,
     stacked,
 )
+from sim2real.identification.starts import servos_at
 from sim2real.inference.parameters import kronecker
 from sim2real.model import JointModel
 from sim2real.servo.batch import Batch, Problems

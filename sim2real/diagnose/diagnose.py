@@ -28,7 +28,7 @@ from sim2real.diagnose.wording import diagnosis, with_checks
 from sim2real.effects import named
 from sim2real.identification.held_out import Unseen, held_out
 from sim2real.identification.identify import fitted_joint
-from sim2real.identification.plain_fit import refitted
+from sim2real.identification.joint_fit import refitted
 from sim2real.identification.servo_problem import (
     Hypothesis,
     Servos,

@@ -13,7 +13,6 @@ from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.servo_search import ServoSearch, evidence_of
 from sim2real.effects import named
-from sim2real.identification.motor_choice import without_flat_limit
 from sim2real.identification.problem import ServoProblem
 from sim2real.identification.servo_problem import (
     FLAT_COLUMNS,
@@ -24,6 +23,7 @@ from sim2real.identification.servo_problem import (
     Tried,
     minimise,
     plain_servos,
+    without_flat_limit,
 )
 from sim2real.model import JointModel, Law
 from sim2real.recording import PER_INERTIA

@@ -10,7 +10,7 @@ import pytest
 from sim2real.design.information import AngleError, Information, ServoPrior, prior_of
 from sim2real.design.limits import limits_of
 from sim2real.design.search import draw
-from sim2real.identification.plain_fit import refitted
+from sim2real.identification.joint_fit import refitted
 from sim2real.identification.problem import plain_row
 from sim2real.model import JointModel, Model
 from sim2real.recording import Load
