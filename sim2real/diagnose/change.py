@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import expit
 
 from sim2real.arrays import Array
-from sim2real.diagnose.contrast import LOAD, LOADS, Comparison, Fitted, compared
+from sim2real.diagnose.contrast import LOAD, LOADS, Comparison, Fitted, compared, screened
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.effect_probabilities import Group
 from sim2real.diagnose.explained import Explained, explained
@@ -26,6 +26,7 @@ from sim2real.effects import SET_ANEW
 from sim2real.identification.servo_problem import Set
 from sim2real.inference.evidence import student
 from sim2real.inference.least_squares import rms
+from sim2real.noise import noise_floor
 from sim2real.robot import Servo
 from sim2real.servo.linearised import Residual
 from sim2real.servo.trace import Trace
@@ -82,7 +83,7 @@ def what_changed(
     if not of.case.any():
         return Change((Group((LOAD,), 0.0),), {}, row)
     by = compared(of, servo)
-    looks = by.screened(by.case, of.row)
+    looks = screened(by.case, of.row, by.every)
     some = dict.fromkeys([*[*looks][:_MOST], *(name for name in looks if name in SET_ANEW)])
     fits = [by.fitted([name], [looks[name][1], of.row]) for name in some]
     best = max(fits, key=lambda fit: fit.evidence)
@@ -91,7 +92,7 @@ def what_changed(
     fits = [by.fitted(fit.names, [fit.fit.row, of.row]) for fit in near]
     change = _single(by, fits)
     wrong = DECISION.change.law_error**2 * by.start[1]
-    least = min(fit.bare for fit in fits)
+    least = min(fit.left[1] for fit in fits)
     if of.way == "repeat" and least > max(DECISION.change.misfit_ratio, wrong):
         change = _pair(by, fits) or change
     return _with_nameless(by, change, step_rad)
@@ -103,73 +104,78 @@ def _single(by: Comparison, fits: Sequence[Fitted]) -> Change:
     known, null = _null_gain(by, best)
     sure = float(expit(student(best.gain / null, known) + LOG_PRIOR))
     by_name = {fit.names[0]: fit for fit in fits}
-    probability = _probabilities(by_name, best.gain, sure)
-    group = _group(probability)
+    # as likely of all parameters together as of all effects
+    more = len(FITTED) / len(SET_ANEW)
+    group, probability = _group(by_name, best.gain, sure, more)
     head = by_name[group.members[0]]
-    if by.of.way == "rest" or head.left > DECISION.change.misfit_ratio:
+    if by.of.way == "rest" or head.left[0] > DECISION.change.misfit_ratio:
         most = min(group.probability, DECISION.change.most_certain)
         group = replace(group, probability=most)
-    return Change((group,), probability, head.fit.row, sizes=head.sizes, left=head.left)
+    return Change((group,), probability, head.fit.row, sizes=head.sizes, left=head.left[0])
 
 
 def _null_gain(by: Comparison, best: Fitted) -> tuple[float, float]:
     """Number of unchanged recordings that are known, and the mean gain of a change in them."""
     numbers = DECISION.change
     usual = numbers.null_rest * by.count if by.of.way == "rest" else numbers.null_repeat
-    usual += numbers.null_law * by.count * by.misfit
-    looks = [by.screened(one, by.of.row, only=best.names) for one in by.references]
+    if by.of.way == "law":  # the share of the residual that is not the sensor's noise
+        traces = by.of.traces[: by.of.references]
+        floor = max(noise_floor(t.t, t.command, t.position) for t in traces)
+        usual += numbers.null_law * by.count * max(0.0, 1 - floor**2 / float(by.noise[0]))
+    kinds = {name: by.every[name] for name in best.names}
+    looks = [screened(one, by.of.row, kinds) for one in by.references]
     gains = [max((gain for gain, _ in look.values()), default=0.0) for look in looks]
     known = numbers.null_known + len(gains)
     return known, (numbers.null_known * usual + sum(gains)) / known
 
 
-def _probabilities(fits: Mapping[str, Fitted], gain: float, sure: float) -> dict[str, float]:
-    """Probability of each change, together ``sure``; laws are wrong by a share of a ``gain``."""
+def _group(
+    fits: Mapping[str, Fitted], gain: float, sure: float, set_anew: float = 1.0
+) -> tuple[Group, dict[str, float]]:
+    """The most probable change and those that are indistinguishable from it; the share of each.
+
+    Together they are as probable as ``sure``; a parameter that is ``set_anew`` is that much more
+    probable than an effect. Laws are wrong by a share of a ``gain``.
+    """
     blur = 1 + DECISION.change.law_error**2 * 2 * gain
     evidence = np.array([fit.evidence for fit in fits.values()])
-    # As likely of all parameters together as of all effects.
     share = np.exp((evidence - evidence.max()) / blur)
-    share *= [len(FITTED) / len(SET_ANEW) if name in SET_ANEW else 1.0 for name in fits]
+    share *= [set_anew if name in SET_ANEW else 1.0 for name in fits]
     share *= sure / share.sum()
-    return dict(zip(fits, share.tolist(), strict=True))
-
-
-def _group(probability: Mapping[str, float]) -> Group:
-    """The most probable change and those that are indistinguishable from it."""
-    order = sorted(probability, key=lambda n: -probability[n])
-    members = [n for n in order if probability[n] >= DECISION.group_share * probability[order[0]]]
-    sure = min(sum(probability[n] for n in members), DECISION.most_certain)
-    return Group(tuple(members), sure)
+    ranked = sorted(zip(fits, share.tolist(), strict=True), key=lambda entry: -entry[1])
+    alike = [(name, p) for name, p in ranked if p >= DECISION.group_share * ranked[0][1]]
+    total = min(sum(p for _, p in alike), DECISION.most_certain)
+    return Group(tuple(name for name, _ in alike), total), dict(ranked)
 
 
 def _pair(by: Comparison, fits: Sequence[Fitted]) -> Change | None:
     """Two changes together, where they explain far more than any does alone."""
     alone = {fit.names[0]: fit for fit in fits}
     found: dict[Set, Fitted] = {}
-    heads = sorted(alone, key=lambda name: alone[name].bare)[:_HEADS]
+    heads = sorted(alone, key=lambda name: alone[name].left[1])[:_HEADS]
     for _ in range(2):  # then the rivals of either of the best two, together with the other one
         for name in heads:
             alone[name] = first = alone.get(name) or by.fitted([name], [by.of.row])
-            looks = by.screened(by.case, first.fit.row, (name,))
+            looks = screened(by.case, first.fit.row, by.joining(first.fit.row, name))
             for other in [*looks][: _MOST // 2]:
                 if frozenset((name, other)) not in found:
                     pair = by.fitted([name, other], [looks[other][1]])
                     found[frozenset((name, other))] = pair
         two = max(found.values(), key=lambda fit: fit.evidence)
         heads = list(two.names)
-    least = min(fit.bare for fit in fits)
-    if _unexplained(by, two.left) or DECISION.change.misfit_ratio * two.bare > least:
+    least = min(fit.left[1] for fit in fits)
+    if _unexplained(by, two.left[0]) or DECISION.change.misfit_ratio * two.left[1] > least:
         return None
     probability, groups = dict[str, float](), []
     for head, other in (two.names, two.names[::-1]):
         rivals = {next(iter(p - {other})): fit for p, fit in found.items() if other in p}
         # As wrong as a law may be of what this one explains together with the other.
-        more = max(two.gain - alone[other].gain, 0.0)
-        mine = _probabilities({head: two} | rivals, more, DECISION.most_certain)
-        groups.append(_group({head: mine.pop(head)} | mine))
-        probability |= {n: 0.5 * p for n, p in mine.items() if p > probability.get(n, 0.0)}
-        probability[head] = 0.5 * groups[-1].probability
-    return Change(tuple(groups), probability, two.fit.row, sizes=two.sizes, left=two.left)
+        more = max(two.gain - (alone[other].gain if other in alone else 0.0), 0.0)
+        group, mine = _group({head: two} | rivals, more, DECISION.most_certain)
+        groups.append(group)
+        for name, p in mine.items():
+            probability[name] = max(probability.get(name, 0.0), 0.5 * p)
+    return Change(tuple(groups), probability, two.fit.row, sizes=two.sizes, left=two.left[0])
 
 
 def _unexplained(by: Comparison, left: float) -> bool:

@@ -7,7 +7,7 @@ differ by (``BETWEEN_RUNS``) is integrated over: residuals along its directions 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -28,7 +28,6 @@ from sim2real.identification.search import search
 from sim2real.inference.least_squares import OUTLIER_SD, robust_scale
 from sim2real.inference.normal import Z90
 from sim2real.inference.parameters import Parameter
-from sim2real.noise import noise_floor
 from sim2real.recording import PER_INERTIA, Load
 from sim2real.robot import Servo
 from sim2real.servo.parameters import BASE, COLUMNS, LINE, LOSSES, ROTOR
@@ -36,7 +35,7 @@ from sim2real.servo.parameters import BASE, COLUMNS, LINE, LOSSES, ROTOR
 RATIOS = {"kp": BASE[0], "kd": BASE[1], "stall_torque": LINE[0], "no_load_speed": LINE[1]}
 """Parameters that may be set anew, by a ratio."""
 LATENCY, LOAD = "latency", "load"
-LOADS = ("unmodelled_inertia", "gravity_load")
+LOADS = ("gravity_load", "unmodelled_inertia")
 """Effects that together are another load."""
 _LOAD = tuple(f"{name}.{named(name).parameters[0].name}" for name in LOADS)
 BETWEEN_RUNS = {BASE[0]: 0.03, BASE[1]: 0.05, ROTOR: 0.13} | dict.fromkeys(LOSSES[1:4], 0.1)
@@ -58,14 +57,27 @@ class Kind:
     parameters: tuple[Parameter, ...]  # what is fitted, with its prior
     starts: Array  # values from which it starts, shape (S, K)
     keys: tuple[str, ...]  # what is stated of each: (value - ``zero``) / ``one``
-    zero: Array
-    one: Array
+    zero: Array | float = 0.0
+    one: Array | float = 1.0
+
+    @property
+    def columns(self) -> list[int]:
+        """Columns of its parameters."""
+        return [COLUMNS.index(p.name) for p in self.parameters]
 
     def rows(self, row: Array) -> Array:
         """A servo (P,) with the change, from every start, shape (S, P)."""
         rows = np.tile(row, (len(self.starts), 1))
-        rows[:, [COLUMNS.index(p.name) for p in self.parameters]] = self.starts
+        rows[:, self.columns] = self.starts
         return rows
+
+    def sizes(self, rows: Array) -> dict[str, Estimate]:
+        """What is stated of servos (3, P) at the ends and the middle of its intervals."""
+        values = np.sort((rows[:, self.columns] - self.zero) / self.one, axis=0).T.tolist()
+        return {
+            key: Estimate(middle, (high - low) / (2 * Z90), low, high)
+            for key, (low, middle, high) in zip(self.keys, values, strict=True)
+        }
 
 
 def set_anew(row: Array, load: Load, *, moving: bool) -> dict[str, Kind]:
@@ -75,25 +87,24 @@ def set_anew(row: Array, load: Load, *, moving: bool) -> dict[str, Kind]:
     """
     kinds, numbers = dict[str, Kind](), DECISION.change
     for name, column in RATIOS.items() if moving else ():
-        value = np.array([row[COLUMNS.index(column)]])
-        if value[0] > 0:
-            ends = float(value[0]) / 20, float(value[0]) * 20, LOG_UNIT, float(np.log(value[0]))
+        usual = float(row[COLUMNS.index(column)])
+        if usual > 0:
+            ends = usual / 20, usual * 20, LOG_UNIT, float(np.log(usual))
             prior = Parameter(column, *ends, numbers.ratio_sd, log=True)
-            kinds[name] = Kind((prior,), _RATIOS * value, ("ratio",), np.zeros(1), value)
+            kinds[name] = Kind((prior,), _RATIOS * usual, ("ratio",), one=usual)
     if moving:
         usual = float(row[2])
         prior = Parameter(BASE[2], 0.0, 0.5, 0.01, usual, numbers.latency_sd_s)
-        starts = np.maximum(usual + _LATER_S, 0.0)
-        kinds[LATENCY] = Kind((prior,), starts, ("change_s",), np.array([usual]), np.ones(1))
+        kinds[LATENCY] = Kind((prior,), np.maximum(usual + _LATER_S, 0.0), ("change_s",), usual)
     if load.gravity_Nm > 0:
-        stated = np.array([load.inertia_kgm2, load.gravity_Nm])
-        usual = row[[COLUMNS.index(name) for name in _LOAD]]
+        stated = np.array([load.gravity_Nm, load.inertia_kgm2])
+        before = row[[COLUMNS.index(name) for name in _LOAD]]
         priors = tuple(
             Parameter(name, x - 0.9 * one, x + 9.0 * one, 0.3 * one, x, numbers.load_sd * one)
-            for name, x, one in zip(_LOAD, usual.tolist(), stated.tolist(), strict=True)
+            for name, x, one in zip(_LOAD, before.tolist(), stated.tolist(), strict=True)
         )
-        starts = usual + (_RATIOS - 1) * stated
-        kinds[LOAD] = Kind(priors, starts, ("inertia_ratio", "ratio"), usual - stated, stated)
+        starts, keys = before + (_RATIOS - 1) * stated, ("ratio", "inertia_ratio")
+        kinds[LOAD] = Kind(priors, starts, keys, before - stated, stated)
     return kinds
 
 
@@ -179,6 +190,29 @@ class Changes(SameSteps):
         return replace(self, along=along * np.sqrt(1 - 1 / np.sqrt(1 + size**2)))
 
 
+def screened(
+    problem: Changes, row: Array, kinds: Mapping[str, Kind]
+) -> dict[str, tuple[float, Array]]:
+    """Gain in log-likelihood by each change along a straight line, and the servo (P,) there.
+
+    Of changes of a servo ``row`` (P,), the largest gain first.
+    """
+    names = [name for name, kind in kinds.items() for _ in kind.starts]
+    rows = np.vstack([row[None], *(kind.rows(row) for kind in kinds.values())])
+    errors = problem.row_residuals(rows)
+    error, moved = errors[0], np.nan_to_num(errors[1:] - errors[:1])
+    weight = 1 / np.sqrt(1 + (error / (OUTLIER_SD * max(robust_scale(error), 1e-9))) ** 2)
+    square, slope = (moved**2 * weight).sum(axis=1), -(moved * weight) @ error
+    either_sign = [name in SET_ANEW or named(name).either_sign for name in names]
+    share = np.clip(slope / np.maximum(square, 1e-300), np.where(either_sign, -1.0, 0.0), 1.0)
+    gain = share * slope - 0.5 * share**2 * square
+    best = dict[str, tuple[float, Array]]()
+    for k in np.argsort(-gain, kind="stable"):
+        if np.isfinite(gain[k]):  # else it diverges
+            best.setdefault(names[k], (float(gain[k]), row + share[k] * (rows[1 + k] - row)))
+    return best
+
+
 def noise_of(error: Array, speed: Array, least_sd: float, *, rounds: int = 10) -> Array:
     """Variance of residuals (n,) at rest, rad2, and what a squared speed (n,) adds to it, s2.
 
@@ -201,8 +235,7 @@ class Fitted:
     fit: Fit  # the case's servo
     gain: float  # of log-likelihood, prior included
     evidence: float  # logarithm of the marginal likelihood, over that of no change
-    left: float  # mean square that it leaves, robust
-    bare: float  # the same in that of the noise alone
+    left: tuple[float, float]  # mean squares that it leaves, see ``Comparison.left``
     sizes: Mapping[str, Mapping[str, Estimate]]  # its parameters by change and name
 
 
@@ -212,17 +245,13 @@ class Comparison:
 
     of: Explained
     servo: Servo
+    load: Load  # the smallest, as stated
     noise: Array  # of the references, see ``noise_of``
     times: float  # samples of it per independent sample
     references: tuple[Changes, ...]  # those that count, each by itself
     case: Changes  # recordings in question
     law_sd: Array | None  # what the law's parameters move in them, one sd each, rad, (n, F)
     trust: float = 1.0  # share of the case's information that counts
-
-    @cached_property
-    def load(self) -> Load:
-        """Smallest load, as stated."""
-        return min((t.load for t in self.of.traces), key=lambda load: load.inertia_kgm2)
 
     @cached_property
     def _usual(self) -> Array:
@@ -232,13 +261,6 @@ class Comparison:
     def count(self) -> float:
         """Independent samples of the case, in the noise of the references."""
         return float(np.sum(self._usual * np.square(self.case.weight)))
-
-    @cached_property
-    def misfit(self) -> float:
-        """Share of the references' residual that is not their sensor's noise, where laws count."""
-        floors = [noise_floor(t.t, t.command, t.position) for t in self.of.traces]
-        floor = max(floors[: self.of.references])
-        return max(0.0, 1 - floor**2 / float(self.noise[0])) if self.of.way == "law" else 0.0
 
     def left(self, error: Array) -> tuple[float, float]:
         """Mean squares of residuals (n,) of the case, robust: in that of the noise and law's error.
@@ -257,12 +279,17 @@ class Comparison:
     def doubted(self, best: Fitted) -> Comparison:
         """The same, where the case counts less, by what the best explanation leaves of it."""
         correlated = best.fit.problem.inflation(best.fit.error) / self.times
-        trust = 1 / (max(best.left, 1.0) * max(correlated, 1.0))
+        trust = 1 / (max(best.left[0], 1.0) * max(correlated, 1.0))
         case = replace(self.case, weight=self.case.weight * trust**0.5)
         return replace(self, case=case.differing(self.law_sd), trust=trust)
 
-    def kinds(self, row: Array) -> dict[str, Kind]:
-        """Every change that may join a servo ``row`` (P,)."""
+    @cached_property
+    def every(self) -> dict[str, Kind]:
+        """Every change of the references' servo."""
+        return self.joining(self.of.row)
+
+    def joining(self, row: Array, present: str | None = None) -> dict[str, Kind]:
+        """Changes that may join a servo ``row`` (P,) that has one already, or none."""
         own = self.of.row
         kinds = set_anew(own, self.load, moving=self.of.way != "rest")
         there = {COLUMNS[k].partition(".")[0] for k in np.flatnonzero(row) if "." in COLUMNS[k]}
@@ -270,65 +297,29 @@ class Comparison:
             if not option.effect.everywhere:
                 priors = effect_priors(option.effect, own, self.load, self.servo)
                 keys = tuple(p.name.partition(".")[2] for p in priors)
-                none, ones = np.zeros(len(keys)), np.ones(len(keys))
-                kinds[option.effect.name] = Kind(priors, option.starts, keys, none, ones)
-        return kinds
-
-    def screened(
-        self,
-        problem: Changes,
-        row: Array,
-        present: Collection[str] = (),
-        only: Collection[str] = (),
-    ) -> dict[str, tuple[float, Array]]:
-        """By change, the gain in log-likelihood along a straight line, and the servo (P,) there.
-
-        Of those that are not ``present``, or ``only`` of some, the largest gain first.
-        """
-        kinds = self.kinds(row)
-        taken = {p.name for name in present for p in self.kinds(self.of.row)[name].parameters}
-        kinds = {
-            name: kind
-            for name, kind in kinds.items()
-            if (name in only or not only) and taken.isdisjoint(p.name for p in kind.parameters)
-        }
-        names = [name for name, kind in kinds.items() for _ in kind.starts]
-        rows = np.vstack([row[None], *(kind.rows(row) for kind in kinds.values())])
-        errors = problem.row_residuals(rows)
-        error, moved = errors[0], np.nan_to_num(errors[1:] - errors[:1])
-        weight = 1 / np.sqrt(1 + (error / (OUTLIER_SD * max(robust_scale(error), 1e-9))) ** 2)
-        square, slope = (moved**2 * weight).sum(axis=1), -(moved * weight) @ error
-        share = slope / np.maximum(square, 1e-300)
-        share = np.clip(share, [-1.0 if _either_sign(n) else 0.0 for n in names], 1.0)
-        gain = share * slope - 0.5 * share**2 * square
-        best = dict[str, tuple[float, Array]]()
-        for k in np.argsort(-gain, kind="stable"):
-            best.setdefault(names[k], (float(gain[k]), row + share[k] * (rows[1 + k] - row)))
-        return best
+                kinds[option.effect.name] = Kind(priors, option.starts, keys)
+        taken = self.every[present].columns if present else ()
+        return {name: kind for name, kind in kinds.items() if not {*kind.columns} & {*taken}}
 
     def fitted(self, names: Sequence[str], starts: Sequence[Array]) -> Fitted:
         """Fit changes to the case, from some servos (P,)."""
-        kinds = {name: self.kinds(self.of.row)[name] for name in names}
-        free = tuple(p for kind in kinds.values() for p in kind.parameters)
+        free = tuple(p for name in names for p in self.every[name].parameters)
         problem = replace(self.case, parameters=free)
         x, loss, _, _ = search(problem, problem.searched(np.array(starts)), (1.0, 1.0), 40)
         (error,), (slopes,) = problem.slopes(x[:1], rough=False)
         fit = Fit(problem, x[0], error, slopes, 1.0, 1.0, True, x[1:], loss[1:] - loss[0])
-        none = self.case.error
-        before = 0.5 * float(self.case.loss(np.zeros((1, 0)), none[None], 1.0, 1.0)[0])
+        none = np.zeros((1, 0)), self.case.error[None]
+        before = 0.5 * float(self.case.loss(*none, 1.0, 1.0)[0])
         sd = np.sqrt(np.diag(np.linalg.pinv(fit.information(), hermitian=True)))
-        at = problem.values(np.clip(x[0] + np.outer((-Z90, 0.0, Z90), sd), *problem.box))
-        sizes = dict[str, dict[str, Estimate]]()
-        for name, kind in kinds.items():
-            own = at[:, [problem.names.index(p.name) for p in kind.parameters]]
-            ends = np.sort((own - kind.zero) / kind.one, axis=0).T.tolist()
-            sizes[name] = {
-                key: Estimate(middle, (high - low) / (2 * Z90), low, high)
-                for key, (low, middle, high) in reversed([*zip(kind.keys, ends, strict=True)])
-            }
-        evidence = before + fit.evidence(1.0, 1.0)
-        gain = before - 0.5 * float(loss[0])
-        return Fitted(tuple(names), fit, gain, evidence, *self.left(error), sizes)
+        ends = problem.rows(np.clip(x[0] + np.outer((-Z90, 0.0, Z90), sd), *problem.box))
+        return Fitted(
+            names=tuple(names),
+            fit=fit,
+            gain=before - 0.5 * float(loss[0]),
+            evidence=before + fit.evidence(1.0, 1.0),
+            left=self.left(error),
+            sizes={name: self.every[name].sizes(ends) for name in names},
+        )
 
 
 def compared(of: Explained, servo: Servo) -> Comparison:
@@ -349,7 +340,8 @@ def compared(of: Explained, servo: Servo) -> Comparison:
     case = Changes(of.traces[of.references :], of.row, ()).weighted(noise, usual)
     law_sd = _law_sd(of, servo, noise, usual) if of.way == "law" else None
     references = tuple(one.weighted(noise, usual).differing() for one in every)
-    return Comparison(of, servo, noise, usual, references, case.differing(law_sd), law_sd)
+    load = min((trace.load for trace in of.traces), key=lambda load: load.inertia_kgm2)
+    return Comparison(of, servo, load, noise, usual, references, case.differing(law_sd), law_sd)
 
 
 def _law_sd(of: Explained, servo: Servo, noise: Array, times: float) -> Array:
@@ -362,7 +354,3 @@ def _law_sd(of: Explained, servo: Servo, noise: Array, times: float) -> Array:
     size, turn = np.linalg.eigh(slopes.T @ slopes + prior.T @ prior)
     root = turn / np.sqrt(np.maximum(size, 1e-9 * size.max()))
     return np.asarray(Changes(of.traces[R:], of.row, free).slopes(x)[1][0] @ root)
-
-
-def _either_sign(name: str) -> bool:
-    return name in SET_ANEW or named(name).either_sign

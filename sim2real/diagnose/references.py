@@ -30,7 +30,6 @@ from sim2real.identification.problem import Fit
 from sim2real.identification.search import fit
 from sim2real.identification.servo_problem import (
     Hypothesis,
-    Set,
     Tried,
     joined,
     minimise,
@@ -139,45 +138,35 @@ def _not_searched(
     """Findings of joints that are compared with their references: nothing as yet."""
     rows = [joint_row(x.model, x.references[0].load, x.name) for x in joints if x.model]
     inertia = batch.load[batch.first_signal, 0]
-    places = np.arange(len(joints))
-    servos = plain_servos(places, np.array(rows), inertia, batch.period)
+    servos = plain_servos(np.arange(len(joints)), np.array(rows), inertia, batch.period)
     plain = minimise(batch, servos, iterations=1, blocks=BLOCKS)
     cases = plain_sets(plain, [joint.base for joint in joints])
     without = unmodelled(batch, [x.traces for x in joints], joined([t.plain.fit for t in cases]))
     search = ServoSearch(batch, DECISION.false_alarms / len(joints), rng)
+    nothing = [EffectPosterior((tried.base,), np.ones(1)) for tried in cases]
     return [
-        Finding(
-            tried=tried,
-            search=search,
-            posterior=EffectPosterior((tried.base,), np.ones(1)),
-            best=tried.plain,
-            mismatch=False,
-            unexplained=False,
-            groups=(),
-            unmodelled=one,
-            unknown=0.0,
-            excess=1.0,
-            noise=joint.noise,
-        )
-        for joint, tried, one in zip(joints, cases, without, strict=True)
+        Finding(tried, search, none, tried.plain, False, False, (), one, 0.0, 1.0, joint.noise)
+        for joint, tried, none, one in zip(joints, cases, nothing, without, strict=True)
     ]
 
 
 def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Finding:
     """The finding in which only what differs from the joint's references, if any, is named."""
-    references = joint.references
-    if not references or joint.model is None or joint.servo is None:
-        return finding
+    assert joint.model is not None and joint.servo is not None
+    references, tried = joint.references, finding.tried
     row = joint_row(joint.model, references[0].load, joint.name)
     change = what_changed(references, joint.traces, row, joint.servo, joint.step_rad or 0.0)
     coarser = _coarser(joint)
     coarse = (Group((ROUNDING,), coarser),) if coarser >= DECISION.named else ()
     nameless = change.nameless > DECISION.named
+    ranked = sorted(change.probability.items(), key=lambda entry: -entry[1])
+    likely = {tried.base | {name}: p for name, p in ranked if name not in tried.base}
+    sets = {tried.base: 1 - sum(likely.values())} | likely
     return replace(
         finding,
         mismatch=bool(change.named or nameless or coarse),
-        best=_with_change(batch, finding.tried, change, references[0].load.inertia_kgm2),
-        posterior=_posterior(change, finding.tried.base),
+        best=_with_change(batch, tried, change, references[0].load.inertia_kgm2),
+        posterior=EffectPosterior(tuple(sets), np.array([*sets.values()])),
         groups=(*coarse, *change.groups),
         unexplained=nameless,
         unknown=change.nameless,
@@ -198,14 +187,6 @@ def _with_change(batch: Batch, tried: Tried, change: Change, inertia: float) -> 
     servos = replace(servos, theta=change.row[None])
     fit = minimise(batch, servos, iterations=1, blocks=BLOCKS)
     return Hypothesis(members, fit, float(fit.loglikelihood[0]))
-
-
-def _posterior(change: Change, base: Set) -> EffectPosterior:
-    """The probabilities of changes as those of sets, nothing more than ``base`` among them."""
-    likely = {n: p for n, p in change.probability.items() if n not in base}
-    order = sorted(likely, key=lambda n: -likely[n])
-    sets = (base, *(base | {n} for n in order))
-    return EffectPosterior(sets, np.array([1 - sum(likely.values()), *(likely[n] for n in order)]))
 
 
 def _coarser(joint: JointCase) -> float:
