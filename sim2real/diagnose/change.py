@@ -26,6 +26,7 @@ from sim2real.effects import SET_ANEW
 from sim2real.identification.servo_problem import Set
 from sim2real.inference.evidence import student
 from sim2real.inference.least_squares import rms
+from sim2real.inference.segments import Window
 from sim2real.noise import noise_floor
 from sim2real.robot import Servo
 from sim2real.servo.linearised import Residual
@@ -237,7 +238,7 @@ def jump_windows(of: Explained, residual: Array, step_rad: float = 0.0) -> Windo
     least = np.sqrt(12) * of.least_sd if of.way == "rest" else of.least_sd
     limit = numbers.repeated_jump_ratio if of.way == "repeat" else numbers.jump_ratio
     limit *= max(*usual, step_rad, least)
-    windows = []
+    windows = list[tuple[Window, ...]]()
     for r, (t, size) in enumerate(_jumps(of, residual)[R:], start=R):
         when, trace = t[size > limit], of.traces[r]
         if limit <= 0 or not when.size:
