@@ -166,17 +166,13 @@ def trace_contexts(traces: Sequence[Trace]) -> tuple[Array, Array]:
 class Simulator:
     """Simulates servos with any parameters on the S recordings of one joint.
 
-    Their loads are those of the recordings; with ``add_loads`` those of servos are added.
+    Their loads are those of the recordings.
     """
 
-    def __init__(
-        self, traces: Sequence[Trace], threads: int = 2, *, add_loads: bool = False
-    ) -> None:
+    def __init__(self, traces: Sequence[Trace], threads: int = 2) -> None:
         self.traces, self.threads = traces, threads
         signals, position, self._load = padded(traces)
         self._factor, self._offset = trace_contexts(traces)
-        if add_loads:
-            self._factor[:, _LOAD] = 1.0
         self._signals = [to_warp(x, "cpu") for x in signals]
         self.position, self.length = to_warp(position, "cpu"), self._signals[2]
         self._pool = workers(threads)
