@@ -14,7 +14,7 @@ from rl.deploy.export import policy_of, set_price
 from rl.deploy.policy import PolicyController
 from rl.experiments.episodes import Episodes, run_episodes, summary
 from rl.experiments.named import controller_of
-from rl.experiments.reality import RealityFile, RealWorld, Starts
+from rl.experiments.reality import RealityFile, Starts, real_world
 from rl.make import Fidelity, digest, draws_of, make_world, own_stream
 from rl.sac.sac import read_agent
 from rl.sac.train import digest_of
@@ -156,7 +156,7 @@ def real(file: RealityFile, device: str = "cpu") -> Testbed:
         reality = file(robot, n, seed, device)
         parts = []
         for rows in np.arange(total).reshape(-1, n):
-            world = RealWorld(reality, robot, task, starts.of(rows), str(file.files[0]))
+            world = real_world(reality, robot, task, starts.of(rows), str(file.files[0]))
             parts.append(run_episodes(world, who.of(rows), name="reality"))
         return _joined(parts)
 
