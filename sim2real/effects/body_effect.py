@@ -60,7 +60,7 @@ def no_forces(links: int) -> dict[str, Array]:
 class SwimEffect:
     """What effects of the body and of the camera have in common."""
 
-    name: str  # its identifier
+    name: str = ""  # its identifier: the name of its file
     plain: str  # description for use in a sentence
     # description before a colon and its size, without direction if the size may have either sign
     title: str

@@ -8,7 +8,6 @@ Confused with: drag normal to the links; accelerations distinguish them.
 from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="added_mass",
     plain="an error of the added mass",
     title="change of the transverse added mass, as a share of the displaced water",
     parameters=(Parameter("ratio", low=-0.5, high=2.0, typical=0.2),),

@@ -10,7 +10,6 @@ of the coefficients as prior, and not offered by a diagnosis.
 from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="appendage_area",
     plain="an error of the drag areas of the appendages",
     title="change of the drag areas of the appendages, relative to the robot file",
     parameters=(Parameter("ratio", low=-0.95, high=5.0, typical=0.1),),

@@ -10,7 +10,6 @@ Confused with: form drag, which acts along the head only; skin friction.
 from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="appendage_drag",
     plain="drag of a part that the robot file leaves out",
     title="drag area that the robot file leaves out, and its distance behind the robot's front",
     parameters=(

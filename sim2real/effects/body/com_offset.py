@@ -8,7 +8,6 @@ Confused with: an offset of the marker.
 from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="com_offset",
     plain="an offset of the centre of mass",
     title="offset of the centre of mass from the robot file's, forwards and to the left",
     parameters=(

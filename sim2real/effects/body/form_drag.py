@@ -8,7 +8,6 @@ Confused with: skin friction, which grows with speed in the same way.
 from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="form_drag",
     plain="an error of the form drag",
     title="change of the form drag, which is proportional to the squared speed",
     parameters=(Parameter("coefficient", low=-1.0, high=3.0, typical=0.1),),

@@ -10,7 +10,6 @@ import numpy as np
 from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="linear_drag",
     plain="an error of the linear drag",
     title="change of the drag that is proportional to the speed of the body",
     parameters=(Parameter("coefficient", low=-5.0, high=20.0, typical=0.3, unit="N s/m"),),

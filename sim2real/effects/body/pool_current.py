@@ -8,7 +8,6 @@ Confused with: a position error of the camera; swims in both directions distingu
 from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="pool_current",
     plain="a current in the pool",
     title="uniform current in the pool",
     parameters=(

@@ -8,7 +8,6 @@ Confused with: the servo's damping; bench recordings with and without the skin d
 from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="skin_damping",
     plain="damping by the skin",
     title="the skin over the joints acts as a damper",
     parameters=(Parameter("damping_Nms_per_rad", low=0.0, high=2.0, typical=0.03),),

@@ -9,7 +9,6 @@ Confused with: elasticity or damping alone; slow and fast strokes distinguish th
 from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="skin_viscoelasticity",
     plain="a viscoelastic skin",
     title="the skin over the joints acts as a spring that relaxes with time",
     parameters=(

@@ -8,7 +8,6 @@ Confused with: form drag, which grows with speed in the same way.
 from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="surface_friction",
     plain="an error of the skin friction",
     title="change of the skin friction coefficient of the surface",
     parameters=(Parameter("coefficient", low=-0.1, high=0.3, typical=0.01),),

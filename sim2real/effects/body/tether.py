@@ -8,7 +8,6 @@ Confused with: a current; the end point of the swim distinguishes them.
 from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="tether",
     plain="a tether",
     title="a cable pulls the head towards an anchor in the pool",
     parameters=(

@@ -8,7 +8,6 @@ Confused with: a lateral current; swims in both directions distinguish them.
 from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="trim_asymmetry",
     plain="a trim offset of the joints",
     title="offset of all joint zeros by the same angle",
     parameters=(Parameter("offset_rad", low=-0.5, high=0.5, typical=0.03),),

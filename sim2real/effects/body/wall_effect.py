@@ -8,7 +8,6 @@ Confused with: less drag; swims far from the walls distinguish them.
 from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="wall_effect",
     plain="the effect of a nearby wall",
     title="gain of thrust near a wall, as a share at a distance of one body length",
     parameters=(Parameter("ratio", low=0.0, high=2.0, typical=0.1),),
