@@ -14,7 +14,7 @@ import torch
 from rl.experiments.episodes import Episodes, run_episodes, summary
 from rl.experiments.film import Film
 from rl.experiments.named import controller_of, shown, with_price
-from rl.experiments.testbeds import UNSEEN, SimulationSettings, Trials
+from rl.experiments.testbeds import UNSEEN, DrawnTrials, SimulationSettings
 from rl.make import draws_of, make_world, own_stream
 from rl.sac.plan import RECIPES
 from rl.task import TASKS
@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
     limits = [joint.limits_rad for joint in robot.joints]
     makers = {name: partial(controller_of, name, limits, gains=options.gains) for name in names}
     settings = SimulationSettings(options.fidelity, options.device, options.threads, options.cell_m)
-    trials = Trials(robot, model, ranges, options.episodes, settings)
+    trials = DrawnTrials(robot, model, ranges, options.episodes, settings)
     swims = trials.run(task, makers, options.seed)
     table = {name: summary(episodes, task) for name, episodes in swims.items()}
     content: dict[str, Any] = {"task": options.task, "fidelity": options.fidelity}

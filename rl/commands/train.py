@@ -10,7 +10,13 @@ import numpy as np
 import torch
 
 from rl.controllers import discrete_cpg
-from rl.experiments.testbeds import HELD_OUT, SimulationSettings, Trials, choose_prices, held_out
+from rl.experiments.testbeds import (
+    HELD_OUT,
+    DrawnTrials,
+    SimulationSettings,
+    choose_prices,
+    held_out,
+)
 from rl.sac import train as sac
 from rl.sac.checkpoint import draw_curves, read_progress
 from rl.sac.plan import OPTIONS, RECIPES
@@ -55,7 +61,7 @@ def select(options: argparse.Namespace, folders: list[Path]) -> None:
     ranges = None if options.ranges is None else read_ranges(options.ranges)
     settings = SimulationSettings(options.fidelity, options.device, options.threads, options.cell_m)
     files = read_robot(options.robot), read_model(options.model), ranges
-    swims = Trials(*files, options.trials, settings)
+    swims = DrawnTrials(*files, options.trials, settings)
     prices = choose_prices(swims, folders)
     energy = options.energy_weight or RECIPES[options.recipe or "default"].task.energy
     trials = held_out(swims, folders, energy)

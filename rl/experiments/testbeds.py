@@ -105,7 +105,7 @@ def simulate(
 
 
 @dataclass(frozen=True)
-class Trials:
+class DrawnTrials:
     """Trials of controllers: the same starts, targets and robots, of ranges if any, for each."""
 
     robot: Robot
@@ -214,7 +214,7 @@ SEED = 77_000
 PRICE_SEED = 78_000
 
 
-def held_out(trials: Trials, folders: Sequence[Path], energy: float) -> dict[str, Any]:
+def held_out(trials: DrawnTrials, folders: Sequence[Path], energy: float) -> dict[str, Any]:
     """Test agents, with their mean actions, in the same randomized trials at one weight of energy.
 
     Returns in training are no substitute: there actions are sampled and the energy weight grows.
@@ -230,7 +230,7 @@ def held_out(trials: Trials, folders: Sequence[Path], energy: float) -> dict[str
     return {"best": best, "energy_weight": energy, "episodes": trials.episodes, "agents": agents}
 
 
-def choose_prices(trials: Trials, folders: Sequence[Path]) -> dict[str, float]:
+def choose_prices(trials: DrawnTrials, folders: Sequence[Path]) -> dict[str, float]:
     """Set each agent's price of energy to the best one relative to proportional navigation.
 
     The chosen one minimises the larger of the ratios of time and energy to those of proportional

@@ -18,7 +18,7 @@ from sim2real.appendages import area_error
 from sim2real.arrays import Array
 from sim2real.body import values
 from sim2real.effects import BODY
-from sim2real.effects.body_effect import Body, no_forces
+from sim2real.effects.body_effect import SwimmingBody, no_forces
 from sim2real.model import Model
 from sim2real.robot import Robot
 
@@ -68,7 +68,7 @@ def outside(
 
 
 def _forces(robot: Robot, model: Model, hull: Hull) -> dict[str, Array]:
-    body = Body(
+    body = SwimmingBody(
         np.asarray(hull.length),
         tuple(link.material or "" for link in robot.links),
         np.pi * float((hull.half_width * hull.half_height).max()),

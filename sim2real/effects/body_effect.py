@@ -16,7 +16,7 @@ Values = Mapping[str, float]
 
 
 @dataclass(frozen=True)
-class Body:
+class SwimmingBody:
     """A robot with L links, as its effects need it."""
 
     lengths_m: Array  # lengths of the links, shape (L,)
@@ -74,7 +74,7 @@ class BodyEffect(SwimEffect):
     """Physics of the body that the simulator omits by default."""
 
     # what it adds to ``no_forces``, given a robot, parameters and a material (empty for all)
-    adds: Callable[[Body, Values, str], Mapping[str, ArrayLike]]
+    adds: Callable[[SwimmingBody, Values, str], Mapping[str, ArrayLike]]
 
 
 @dataclass(frozen=True, kw_only=True)

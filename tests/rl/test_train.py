@@ -16,7 +16,7 @@ from rl.deploy.policy import PolicyController
 from rl.experiments import testbeds
 from rl.experiments.episodes import summary
 from rl.experiments.named import shown, with_price
-from rl.experiments.testbeds import Trials
+from rl.experiments.testbeds import DrawnTrials
 from rl.make import draw_models, noise_of
 from rl.observer import PAPER
 from rl.sac.checkpoint import COLUMNS, draw_curves, read_progress
@@ -284,7 +284,7 @@ def test_agents_are_chosen_by_held_out_trials(robot, model, tmp_path, monkeypatc
     folders = train(tmp_path, robot, arms(model)[:1], PLAN)
     monkeypatch.setitem(testbeds.TASKS, "turn", shortened(TASKS["turn"], 60))
     monkeypatch.setitem(testbeds.TASKS, "mixed", shortened(TASKS["mixed"], 60))
-    trials = Trials(robot, model, episodes=3)
+    trials = DrawnTrials(robot, model, episodes=3)
     found = testbeds.held_out(trials, folders, 1e-3)
     scores = {name: rows["score"] for name, rows in found["agents"].items()}
     assert found["best"] == max(scores, key=scores.__getitem__)
@@ -311,7 +311,7 @@ def test_each_agent_swims_at_the_price_that_does_best(robot, model, tmp_path, mo
     monkeypatch.setitem(testbeds.TASKS, "turn", shortened(TASKS["turn"], 60))
     monkeypatch.setattr(testbeds, "controller_of", lambda *_: PolicyController(policies[1.0]))
 
-    trials = Trials(robot, model, episodes=2)
+    trials = DrawnTrials(robot, model, episodes=2)
     chosen = testbeds.choose_prices(trials, [folder])
     (price,) = chosen.values()
     assert read_agent(folder / "policy.zip").by_price["share"] == pytest.approx(np.log2(price))
@@ -339,7 +339,7 @@ def test_a_policy_is_called_with_a_price(tmp_path):
 
 def test_trials_are_the_same_for_all(robot, model):
     ranges = Ranges((uniform("command_latency_s", 0.03, 0.09, "s", ""),))
-    trials = Trials(robot, model, ranges, episodes=4)
+    trials = DrawnTrials(robot, model, ranges, episodes=4)
     makers = {name: trials.maker("pnl") for name in ("one", "other")}
     swims = trials.run(shortened(TASKS["turn"], 80), makers)
     one, other = swims["one"], swims["other"]
