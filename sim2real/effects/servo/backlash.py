@@ -23,9 +23,8 @@ amplitudes distinguish them.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.effect import Effect, F, Parameter, Row
 from sim2real.effects.elementary import sine
-from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
@@ -88,7 +87,6 @@ def hold(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: 
 NEGLIGIBLE_NM = 1e-4
 """Friction on the output below which it is not stated."""
 EFFECT = Effect(
-    name="backlash",
     plain="backlash",
     says=lambda p: (
         "the gear train has {gap_rad} of backlash, and friction of {output_friction_Nm} acts on "

@@ -9,8 +9,7 @@ with: a smaller kp, which absorbs nearly all of it; another load or gain disting
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row
 
 
 @wp.func
@@ -20,7 +19,6 @@ def bound(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 
 EFFECT = Effect(
-    name="load_friction",
     plain="load-dependent friction",
     says="gear friction opposes the motion with {ratio} of the transmitted torque",
     site="friction",
