@@ -286,15 +286,15 @@ def separations(
     """
     found = []
     for pair in (p for entry in stated if "pairs" in entry for p in entry.tables("pairs")[:most]):
-        sets = tuple(tuple(pair.sentences(name)) for name in ("first", "second"))
+        first, second = (tuple(pair.sentences(name)) for name in ("first", "second"))
         weights = []
-        for own, other in (sets, sets[::-1]):
+        for own, other in ((first, second), (second, first)):
             # The sets that have what one has more than the other, and no converse.
             needed, excluded = set(own) - set(other), set(other) - set(own)
             has = (e for e in probability if needed.issubset(e) and excluded.isdisjoint(e))
             weights.append(sum(probability[e] for e in has))
         share = max(weights) / sum(weights) if sum(weights) > least else None
-        favoured = sets[0] if weights[0] >= weights[1] else sets[1]
+        favoured = first if weights[0] >= weights[1] else second
         expected = pair.number("expected")
-        found.append(Separation(component, *sets, expected, share, favoured))
+        found.append(Separation(component, first, second, expected, share, favoured))
     return tuple(found)

@@ -181,19 +181,19 @@ class ServoSearch:
         top = {tried.case: float(tried.best.fit.loglikelihood[0]) for tried, _, _ in jobs}
         for (case, _), fit in zip(sets, fits, strict=True):
             top[case] = max(top[case], float(fit.loglikelihood[0]))
-        left = np.flatnonzero(~rough.converged[first])
         goals = np.array(
             [-np.inf if _GAIN in s else top[case] - self.limits.near for case, s in sets]
-        )[left]
+        )
+        reach = [float(x.loglikelihood[0]) + self.limits.promise * _promised(x) for x in fits]
+        left = np.flatnonzero(~rough.converged[first] & (reach > goals))
 
         def hopeless(places: Index, _: Array, losses: Array, promised: Array) -> Mask:
-            return np.asarray(self.limits.promise * promised - losses[places] < goals[places])
+            reachable = self.limits.promise * promised - losses[places]
+            return np.asarray(reachable < goals[left][places])
 
         if left.size:
-            fine = minimise(
-                self.batch, rough.servos[first[left]], iterations=15, blocks=BLOCKS,
-                hopeless=hopeless,
-            )  # fmt: skip
+            start = rough.servos[first[left]]
+            fine = minimise(self.batch, start, iterations=15, blocks=BLOCKS, hopeless=hopeless)
             for n, k in enumerate(left):
                 fits[k] = fine.single(n)
         return [
@@ -267,6 +267,14 @@ def plain_sets(plain: Fits, bases: Sequence[Set] | None = None) -> list[Tried]:
         fit = plain.single(j)
         cases.append(Tried(j, base, {base: Hypothesis(base, fit, evidence_of(fit, frozenset()))}))
     return cases
+
+
+def _promised(fit: Fits) -> float:
+    """Gain in log-likelihood that the next full step of a lone fit promises."""
+    total = fit.gram[0].sum(axis=0)
+    inverse = np.linalg.pinv(total[1:, 1:], rcond=1e-10, hermitian=True)
+    share = float(total[0, 1:] @ inverse @ total[1:, 0]) / max(float(total[0, 0]), 1e-300)
+    return -0.5 * float(fit.count[0]) * float(np.log1p(-min(share, 1 - 1e-9)))
 
 
 def evidence_of(fit: Fits, added: Set) -> float:

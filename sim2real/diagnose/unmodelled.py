@@ -187,10 +187,11 @@ def unmodelled(batch: Batch, joints: Sequence[Sequence[Trace]], plain: Fits) -> 
     """Look for physics without a name in the joints of a robot, beside their plain servos."""
     residuals, excesses = beyond_noise(batch, joints, plain)
     servos, separate = [], []
-    for j, servo in enumerate(plain.servos.theta[:, :3].tolist()):
+    for j, (kp, kd, latency) in enumerate(plain.servos.theta[:, :3].tolist()):
         suspect = excesses[j] > DECISION.noise_like_excess
-        motions, noise = _motions(batch, joints, residuals, j), (batch.least_gain, batch.lags)
-        servos.append(ServoMotion(motions, *servo, *noise, thorough=suspect))
+        motions = _motions(batch, joints, residuals, j)
+        servo = ServoMotion(motions, kp, kd, latency, batch.least_gain, batch.lags, suspect)
+        servos.append(servo)
         fit = plain[np.array([j])]
         separate.append(_intermittent(batch, joints[j], fit, residuals[j]) if suspect else _NOWHERE)
     found = zip(excesses, shared(smooth_function, servos), separate, strict=True)
@@ -385,12 +386,10 @@ def _jumps(
         t = motion.trace.t
         edge = min(1.0, 0.1 * float(t[-1] - t[0]))
         times = np.arange(t[0] + edge, t[-1] - edge, spacing_s)
-        tried = np.vstack(
-            [
-                t[:, None] >= times if m is motion else np.zeros((m.residual.size, times.size))
-                for m in servo.motions
-            ]
-        )
+        tried = np.zeros((servo.residual.size, times.size))
+        for m, part in servo.by_motion(tried):
+            if m is motion:
+                part[:] = t[:, None] >= times
         seen = servo.whitened(tried, model)
         seen -= basis @ (basis.T @ seen)
         best = int(((seen.T @ left) ** 2 / ((seen**2).sum(axis=0) + 1e-30)).argmax())
