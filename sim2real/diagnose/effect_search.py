@@ -74,7 +74,7 @@ def search(
         problem.singles = False
         # Where the plain servo is most probable no effect is named, and no rival matters.
         going = [x for x in cases if x.best.members != x.base and not problem.exhausted(x)]
-        changed = with_rivals(problem, going, joints)
+        changed = with_rivals(problem, going, [joints[x.case] for x in going])
         selection.select(problem, changed, exhausted=problem.exhausted)
         problem.release(cases)
     return cases, problem
@@ -123,47 +123,44 @@ def first_look(
             for name, start in problem.additions(tried, tried.base, most)
         ]
     )
-    first = [(tried, tried.best) for tried in cases if not tried.best.members >= NAMES]
-    for (tried, best), found in zip(first, _waved(problem, first), strict=True):
-        tried.keep(_best(best, found, _large(joints[tried.case])))
+    for tried, joint in zip(cases, joints, strict=True):
+        found = _waved(problem, tried, tried.best)
+        if found:
+            tried.keep(_best(tried.best, found, _large(joint)))
 
 
 def _waved(
     problem: ServoSearch,
-    places: Sequence[tuple[Tried, Hypothesis]],
-    worth: Sequence[float] | None = None,
+    tried: Tried,
+    base: Hypothesis,
+    least_gain: float = -np.inf,
     *,
     starts: int = 2,
-) -> list[list[Hypothesis]]:
-    """Every set of nuisances added to each hypothesis, from the most probable waves.
+) -> list[Hypothesis]:
+    """Every set of nuisances added to a hypothesis, from the most probable waves.
 
-    Only nuisances whose gain at first sight is more than ``worth``.
+    Only nuisances whose gain at first sight is more than ``least_gain``.
     """
-    lists = [
-        [candidate(named(n), *problem.strength(tried)) for n in sorted(NAMES - h.members)]
-        for tried, h in places
-    ]
-    jobs: list[tuple[int, Job]] = []
-    for n, (options, seen) in enumerate(zip(lists, problem.screened(places, lists), strict=True)):
-        tried, base = places[n]
-        waves = {}
-        for k, option in enumerate(options):
-            mine = np.flatnonzero(seen.candidate == k)
-            best = mine[np.argsort(-seen.gain[mine])][:starts]
-            if worth is None or seen.gain[best[0]] > worth[n]:
-                waves[k] = [option.starts[i] for i in np.resize(seen.start[best], starts)]
-        for count in range(1, len(waves) + 1):
-            for some in combinations(waves, count):
-                names = frozenset(options[k].effect.name for k in some)
-                for turn in range(starts):
-                    theta = np.array(base.fit.servos.theta[0])
-                    for k in some:
-                        theta[options[k].columns] = waves[k][turn]
-                    jobs.append((n, (tried, base.members | names, theta)))
-    found: list[list[Hypothesis]] = [[] for _ in places]
-    for (n, _), hypothesis in zip(jobs, problem.refit([job for _, job in jobs]), strict=True):
-        found[n].append(hypothesis)
-    return found
+    names = sorted(NAMES - base.members)
+    if not names:
+        return []
+    options = [candidate(named(name), *problem.strength(tried)) for name in names]
+    (seen,) = problem.screened([(tried, base)], [options])
+    waves = {}
+    for k, option in enumerate(options):
+        mine = np.flatnonzero(seen.candidate == k)
+        best = mine[np.argsort(-seen.gain[mine])][:starts]
+        if seen.gain[best[0]] > least_gain:
+            waves[k] = [option.starts[i] for i in np.resize(seen.start[best], starts)]
+    jobs: list[Job] = []
+    for count in range(1, len(waves) + 1):
+        for some in combinations(waves, count):
+            for turn in range(starts):
+                theta = np.array(base.fit.servos.theta[0])
+                for k in some:
+                    theta[options[k].columns] = waves[k][turn]
+                jobs.append((tried, base.members | {names[k] for k in some}, theta))
+    return problem.refit(jobs)
 
 
 def with_nuisances(
@@ -177,26 +174,22 @@ def with_nuisances(
     They are fitted with what explained each joint best before, of these recordings or of such a
     batch.
     """
-    large = [_large(joint) for joint in joints]
-    small = [_small(h, x) - tried.base for tried, h, x in zip(cases, best, large, strict=True)]
-    wanted = [k for k, names in enumerate(small) if names]
-    jobs = [
-        (cases[k], best[k].members | cases[k].base, np.array(best[k].fit.servos.theta[0]))
-        for k in wanted
-    ]
-    jobs = [
+    based = list(cases)
+    for k, (tried, known, joint) in enumerate(zip(cases, best, joints, strict=True)):
+        large = _large(joint)
+        small = _small(known, large) - tried.base
+        if not small:
+            continue
         # Fitted to these recordings, a small one may be a large one after all.
-        (cases[k], cases[k].base | (small[k] & _small(h, large[k])), h.fit.servos.theta[0])
-        for k, h in zip(wanted, problem.refit(jobs), strict=True)
-    ]
-    for tried, members, _ in jobs:
+        theta = known.fit.servos.theta[0]
+        (whole,) = problem.refit([(tried, known.members | tried.base, theta)])
+        members = tried.base | (small & _small(whole, large))
         # As fitted together with what explains most, and so they stay.
         problem.fixed[tried.case] = members - tried.base
-    based = list(cases)
-    for k, (tried, members, _), refitted in zip(wanted, jobs, problem.refit(jobs), strict=True):
+        (plain,) = problem.refit([(tried, members, whole.fit.servos.theta[0])])
         # As part of the base they cost no set their prior.
-        evidence = refitted.evidence - len(members - tried.base) * LOG_PRIOR
-        based[k] = Tried(tried.case, members, {members: replace(refitted, evidence=evidence)})
+        evidence = plain.evidence - len(members - tried.base) * LOG_PRIOR
+        based[k] = Tried(tried.case, members, {members: replace(plain, evidence=evidence)})
     return based
 
 
@@ -266,25 +259,27 @@ def with_rivals(
     Returns:
         Those in which other effects are most probable now.
     """
-    before = {tried.case: tried.best for tried in cases}
-    pairs = [
-        (tried, h)
-        for tried in cases
-        for h in sorted(tried.tried.values(), key=lambda h: -h.evidence)[:rivals]
-        if not h.members >= NAMES and h.evidence > before[tried.case].evidence - problem.limits.near
-    ]
-    behind = [before[tried.case].evidence - h.evidence for tried, h in pairs]
-    worth = [max(x / promise, DECISION.nuisance_min_evidence) for x in behind]
-    for (tried, h), found in zip(pairs, _waved(problem, pairs, worth), strict=True):
-        if found:
-            large = _large(joints[tried.case])
+    changed = []
+    for tried, joint in zip(cases, joints, strict=True):
+        before, large = tried.best, _large(joint)
+        near = sorted(tried.tried.values(), key=lambda h: -h.evidence)[:rivals]
+        for h in near:
+            behind = before.evidence - h.evidence
+            if behind >= problem.limits.near:
+                continue
+            worth = max(behind / promise, DECISION.nuisance_min_evidence)
+            found = _waved(problem, tried, h, worth)
+            if not found:
+                continue
             tried.keep(_best(h, found, large))
             # Bent more than any sensor that is in order: no nuisance, and it has no name.
             bent = [t for t in found if _BENT in t.members - _small(t, large)]
             top = max(bent, key=lambda t: t.evidence, default=h)
-            if top.evidence > before[tried.case].evidence + DECISION.decisive_gain:
+            if top.evidence > before.evidence + DECISION.decisive_gain:
                 tried.keep(top)
-    return [t for t in cases if t.best.members - NAMES != before[t.case].members - NAMES]
+        if tried.best.members - NAMES != before.members - NAMES:
+            changed.append(tried)
+    return changed
 
 
 def _best(first: Hypothesis, tried: Sequence[Hypothesis], large_rad: float) -> Hypothesis:
