@@ -143,14 +143,13 @@ def with_noise(
     if joint.count <= lags:
         raise ValueError(f"{joint.count} samples count; {lags} lags take more")
     noise = joint.remodelled(noise)
-    joint = NoisyJoint(_with_rest(segments, noise.model), noise, least_gain)
+    joint = replace(joint, segments=_with_rest(segments, noise.model))
     before = -np.inf
     for _ in range(iterations):
         noise, value = joint.settled(noise)
         if value < before + 0.01:
             break
-        before = value
-        noise = joint.remodelled(noise)
+        before, noise = value, joint.remodelled(noise)
     return replace(joint, noise=noise)
 
 

@@ -129,15 +129,12 @@ def _as_large(changes: Sequence[float], change: float) -> float:
 def judged_together(findings: Sequence[Finding], unseen: Sequence[Errors]) -> list[Finding]:
     """The findings of one robot's joints, see ``judged``; its link is as likely on all of them."""
     pairs = list(zip(findings, unseen, strict=True))
-    on_link = [f.link is not None and len(f.link.shares) > 1 for f in findings]
-    odds = [
-        _link_probability(odds_features(*pair))
-        for pair, is_shared in zip(pairs, on_link, strict=True)
-        if is_shared
-    ]
+    shared = [f.link is not None and len(f.link.shares) > 1 for f in findings]
+    some = (pair for pair, is_shared in zip(pairs, shared, strict=True) if is_shared)
+    largest = max((_link_probability(odds_features(*pair)) for pair in some), default=0.0)
     return [
-        judged(*pair, link_probability=max(odds) if is_shared else 0.0)
-        for pair, is_shared in zip(pairs, on_link, strict=True)
+        judged(*pair, link_probability=largest if is_shared else 0.0)
+        for pair, is_shared in zip(pairs, shared, strict=True)
     ]
 
 

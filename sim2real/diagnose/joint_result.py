@@ -239,13 +239,10 @@ def partner(members: Set, effect: str) -> str | None:
     or limits determine the sum and the product of their time constants. A partner is of the same
     family, acts at another site and has the same parameters.
     """
-    one = named(effect)
-    for other in sorted(members - {effect}):
-        if one.family and named(other).family == one.family:
-            names = [[p.name for p in e.parameters] for e in (one, named(other))]
-            if names[0] == names[1]:
-                return other
-    return None
+    one, known = named(effect), [named(other) for other in sorted(members - {effect})]
+    alike = (other for other in known if one.family and other.family == one.family)
+    names = [p.name for p in one.parameters]
+    return next((x.name for x in alike if [p.name for p in x.parameters] == names), None)
 
 
 def distinctness(tried: Tried, servo: Hypothesis, effect: str, other: str) -> float:

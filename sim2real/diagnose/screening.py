@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,7 +107,7 @@ class Screen:
 
 
 def screen(
-    batch: Batch, fits: Fits, candidates: list[list[Candidate]], *, blocks: int = 20
+    batch: Batch, fits: Fits, candidates: Sequence[list[Candidate]], *, blocks: int = 20
 ) -> list[Screen]:
     """Look at the candidates of every fit, with ``blocks`` blocks of each recording."""
     own = variants(fits.servos)

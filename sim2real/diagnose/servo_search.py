@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -58,8 +58,8 @@ _WAVES = [
 class SearchLimits:
     """How far the search for effects goes; gains and evidence are in nats."""
 
-    rivals: int = 10  # sets that are refitted with nothing fixed
-    near: float = 80.0  # how far the evidence of such a set may be behind the best
+    rivals: int = 10  # sets that are compared with the best
+    near: float = 80.0  # how far the evidence of such a set may be behind it
     hopeless_gain: float = 1.0  # at first sight, below which the best start is not followed
     least_visible: float = 3.0  # score of an effect, were it there, from which it would be seen
     promise: float = 6.0  # times the gain that a fit's quadratic model promises
@@ -70,7 +70,6 @@ class ServoSearch:
     """What the search asks of the servos of a batch: see ``selection.Problem``.
 
     Attributes:
-        fixed: By case, effects whose parameters stay as they are until ``release``.
         singles: Whether every effect by itself is still to be tried.
         unfinished: Cases whose search was ended by its budget, ``DECISION.search_substeps``.
     """
@@ -80,15 +79,14 @@ class ServoSearch:
     ) -> None:
         self.batch, self.level, self.rng = batch, level, rng
         self.limits = SearchLimits(effort=effort)
-        self.fixed: dict[int, Set] = {}
         self.singles = True
         self.unfinished: set[int] = set()
         self._spent_before = batch.substeps.copy()
         self._screens: dict[tuple[int, Set], tuple[Screen, list[Candidate]]] = {}
 
-    def try_all(self, jobs: Sequence[Job], *, free: bool = False) -> None:
+    def try_all(self, jobs: Sequence[Job]) -> None:
         """Refit sets of effects, and record them."""
-        for (tried, _, _), hypothesis in zip(jobs, self.refit(jobs, free=free), strict=True):
+        for (tried, _, _), hypothesis in zip(jobs, self.refit(jobs), strict=True):
             tried.keep(hypothesis)
 
     def seen(self, tried: Tried, members: Set) -> tuple[Screen, list[Candidate]]:
@@ -97,30 +95,21 @@ class ServoSearch:
         return self._screens[tried.case, members]
 
     def look(self, pairs: Sequence[tuple[Tried, Set]]) -> None:
-        """Screen all other effects from each of these sets; sets of one size share a launch."""
-        new = {
-            (tried.case, s): (tried, s)
-            for tried, s in pairs
-            if (tried.case, s) not in self._screens
-        }
-        lists = [candidates(s, *self.strength(tried)) for tried, s in new.values()]
-        screens = self.screened([(tried, tried.tried[s]) for tried, s in new.values()], lists)
+        """Screen all other effects from each of these sets, in one launch."""
+        new = {(t.case, s): (t, t.tried[s]) for t, s in pairs if (t.case, s) not in self._screens}
+        lists = [candidates(s, *self.strength(new[case, s][0])) for case, s in new]
+        screens = self.screened(list(new.values()), lists)
         self._screens.update(zip(new, zip(screens, lists, strict=True), strict=True))
 
     def screened(
         self, places: Sequence[tuple[Tried, Hypothesis]], lists: Sequence[list[Candidate]]
     ) -> list[Screen]:
         """What these candidates would explain of what each hypothesis leaves."""
-        screens: dict[int, Screen] = {}
-        widths = [h.fit.servos.columns.shape[1] for _, h in places]
-        for width in sorted(set(widths)):
-            same = [k for k, w in enumerate(widths) if w == width]
-            # A finding may have been moved to a place in another batch.
-            fits = joined([places[k][1].fit for k in same])
-            fits = fits.of_joints([places[k][0].case for k in same])
-            found = screen(self.batch, fits, [lists[k] for k in same], blocks=BLOCKS)
-            screens.update(zip(same, found, strict=True))
-        return [screens[k] for k in range(len(places))]
+        if not places:
+            return []
+        # A finding may have been moved to a place in another batch.
+        fits = joined([h.fit for _, h in places]).of_joints([tried.case for tried, _ in places])
+        return screen(self.batch, fits, lists, blocks=BLOCKS)
 
     def additions(self, tried: Tried, members: Set, most: int | None) -> list[tuple[str, Array]]:
         """The effects that explain most from a set, each with a parameter row to start from.
@@ -154,11 +143,10 @@ class ServoSearch:
         """The parameter row of the best set, from which every other is refitted."""
         return np.array(tried.best.fit.servos.theta[0])
 
-    def refit(self, jobs: Sequence[Job], *, free: bool = False) -> list[Hypothesis]:
+    def refit(self, jobs: Sequence[Job]) -> list[Hypothesis]:
         """Refit sets of effects from parameter rows; the best of several starts stands for all.
 
-        A set is given up where its case has a fit that it can't come near. ``free``: nothing is
-        fixed.
+        A set is given up where its case has a fit that it can't come near.
         """
         if not jobs:
             return []
@@ -168,7 +156,6 @@ class ServoSearch:
                 members,
                 as_read(theta, members),
                 self.strength(tried)[1],
-                frozenset() if free else self.fixed.get(tried.case, frozenset()),
             )
             for tried, members, theta in jobs
         ]
@@ -200,20 +187,6 @@ class ServoSearch:
             Hypothesis(members, fits[k], evidence_of(fits[k], members - tried.base))
             for (tried, members, _), k in zip(jobs, place, strict=True)
         ]
-
-    def release(self, cases: Sequence[Tried]) -> None:
-        """Refit the most probable sets of each case, and the plain one, with nothing fixed.
-
-        What was fixed was fitted with the most probable set of that time, and favours it.
-        """
-        fixed = [(t, h) for t in cases if self.fixed.get(t.case) for h in self.compared(t)]
-        jobs = [(tried, h.members, h.fit.servos.theta[0]) for tried, h in fixed]
-        for (tried, h), refitted in zip(fixed, self.refit(jobs, free=True), strict=True):
-            more = float(refitted.fit.loglikelihood[0] - h.fit.loglikelihood[0])
-            # All are as free: what freedom costs is the same for each.
-            if more > 0:
-                tried.tried[h.members] = replace(refitted, evidence=h.evidence + more)
-                self._screens.pop((tried.case, h.members), None)
 
     def compared(self, tried: Tried) -> list[Hypothesis]:
         """The sets that are compared: the best, the best without each effect, its rivals."""

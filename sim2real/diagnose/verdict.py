@@ -55,16 +55,16 @@ def split_by_size(
 
     The latter are not listed next to a mismatch without a name.
     """
+    nameless = any(x.finding.mismatch and x.finding.unexplained for x in results.values())
     large: list[Named] = []
     small: list[Named] = []
     for entry in groups:
-        changes = (
-            results[name].finding.changes(results[name].unseen, entry.group.head)
-            for name in entry.joints
-        )
-        (small if all(change < negligible for change in changes) else large).append(entry)
-    if any(x.finding.mismatch and x.finding.unexplained for x in results.values()):
-        small = []
+        of_joints = (results[name] for name in entry.joints)
+        changes = [one.finding.changes(one.unseen, entry.group.head) for one in of_joints]
+        if max(changes) >= negligible:
+            large.append(entry)
+        elif not nameless:
+            small.append(entry)
     return large, small
 
 
