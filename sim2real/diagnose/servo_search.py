@@ -95,7 +95,7 @@ class ServoSearch:
         return self._screens[tried.case, members]
 
     def look(self, pairs: Sequence[tuple[Tried, Set]]) -> None:
-        """Screen all other effects from each of these sets, in one launch."""
+        """Screen all other effects from each of these sets; sets of one size share a launch."""
         new = {(t.case, s): (t, t.tried[s]) for t, s in pairs if (t.case, s) not in self._screens}
         lists = [candidates(s, *self.strength(new[case, s][0])) for case, s in new]
         screens = self.screened(list(new.values()), lists)
@@ -105,11 +105,16 @@ class ServoSearch:
         self, places: Sequence[tuple[Tried, Hypothesis]], lists: Sequence[list[Candidate]]
     ) -> list[Screen]:
         """What these candidates would explain of what each hypothesis leaves."""
-        if not places:
-            return []
-        # A finding may have been moved to a place in another batch.
-        fits = joined([h.fit for _, h in places]).of_joints([tried.case for tried, _ in places])
-        return screen(self.batch, fits, lists, blocks=BLOCKS)
+        screens: dict[int, Screen] = {}
+        widths = np.array([h.fit.servos.columns.shape[1] for _, h in places])
+        for width in np.unique(widths):
+            same = np.flatnonzero(widths == width).tolist()
+            # A finding may have been moved to a place in another batch.
+            fits = joined([places[k][1].fit for k in same])
+            fits = fits.of_joints([places[k][0].case for k in same])
+            found = screen(self.batch, fits, [lists[k] for k in same], blocks=BLOCKS)
+            screens.update(zip(same, found, strict=True))
+        return [screens[k] for k in range(len(places))]
 
     def additions(self, tried: Tried, members: Set, most: int | None) -> list[tuple[str, Array]]:
         """The effects that explain most from a set, each with a parameter row to start from.
