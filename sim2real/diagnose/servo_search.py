@@ -157,10 +157,7 @@ class ServoSearch:
             return []
         servos = [
             with_effects(
-                tried.plain.fit.servos,
-                members,
-                as_read(theta, members),
-                self.strength(tried)[1],
+                tried.plain.fit.servos, members, as_read(theta, members), self.strength(tried)[1]
             )
             for tried, members, theta in jobs
         ]
@@ -176,7 +173,7 @@ class ServoSearch:
         goals = np.array(
             [-np.inf if _GAIN in s else top[case] - self.limits.near for case, s in sets]
         )
-        reach = [float(x.loglikelihood[0]) + self.limits.promise * _promised(x) for x in fits]
+        reach = np.array([x.loglikelihood[0] + self.limits.promise * _promised(x) for x in fits])
         left = np.flatnonzero(~rough.converged[first] & (reach > goals))
 
         def hopeless(places: Index, _: Array, losses: Array, promised: Array) -> Mask:
