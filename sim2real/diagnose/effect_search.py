@@ -76,6 +76,7 @@ def search(
         going = [x for x in cases if x.best.members != x.base and not problem.exhausted(x)]
         changed = with_rivals(problem, going, [joints[x.case] for x in going])
         selection.select(problem, changed, exhausted=problem.exhausted)
+        problem.release(cases)
     return cases, problem
 
 
@@ -88,6 +89,7 @@ def search_again(problem: ServoSearch, cases: Sequence[Tried]) -> None:
     some = [tried for tried in cases if not problem.exhausted(tried)]
     problem.singles = True
     selection.widen(problem, some)
+    problem.release(some)
 
 
 def size_in_noise(best: Hypothesis, effect: str, noise_rad: float) -> float:
@@ -182,6 +184,8 @@ def with_nuisances(
         theta = known.fit.servos.theta[0]
         (whole,) = problem.refit([(tried, known.members | tried.base, theta)])
         members = tried.base | (small & _small(whole, large))
+        # As fitted together with what explains most, and so they stay.
+        problem.fixed[tried.case] = members - tried.base
         (plain,) = problem.refit([(tried, members, whole.fit.servos.theta[0])])
         # As part of the base they cost no set their prior.
         evidence = plain.evidence - len(members - tried.base) * LOG_PRIOR
@@ -232,7 +236,7 @@ def with_rotors(
         if not turning.tried or turning.best.evidence <= others:
             continue
         job = tried, turning.base, turning.best.fit.servos.theta[0]
-        for plain in problem.refit([job]):
+        for plain in problem.refit([job], free=True):
             turning.keep(replace(plain, evidence=plain.evidence - LOG_PRIOR))
         if states_load(turning.plain, joint):  # else it is no rotor by itself
             based[k] = turning

@@ -182,7 +182,8 @@ def _findings(
             for tried, h in zip(cases, best, strict=True)
             for effect in h.members - tried.base
             if h.members - {effect} not in tried.tried
-        ]
+        ],
+        free=True,
     )
     without = unmodelled(batch, data, joined([tried.plain.fit for tried in cases]))
     _, excesses = beyond_noise(batch, data, joined([h.fit for h in best]))

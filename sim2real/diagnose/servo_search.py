@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -58,8 +58,8 @@ _WAVES = [
 class SearchLimits:
     """How far the search for effects goes; gains and evidence are in nats."""
 
-    rivals: int = 10  # sets that are compared with the best
-    near: float = 80.0  # how far the evidence of such a set may be behind it
+    rivals: int = 10  # sets that are refitted with nothing fixed
+    near: float = 80.0  # how far the evidence of such a set may be behind the best
     hopeless_gain: float = 1.0  # at first sight, below which the best start is not followed
     least_visible: float = 3.0  # score of an effect, were it there, from which it would be seen
     promise: float = 6.0  # times the gain that a fit's quadratic model promises
@@ -70,6 +70,7 @@ class ServoSearch:
     """What the search asks of the servos of a batch: see ``selection.Problem``.
 
     Attributes:
+        fixed: By case, effects whose parameters stay as they are until ``release``.
         singles: Whether every effect by itself is still to be tried.
         unfinished: Cases whose search was ended by its budget, ``DECISION.search_substeps``.
     """
@@ -79,14 +80,15 @@ class ServoSearch:
     ) -> None:
         self.batch, self.level, self.rng = batch, level, rng
         self.limits = SearchLimits(effort=effort)
+        self.fixed: dict[int, Set] = {}
         self.singles = True
         self.unfinished: set[int] = set()
         self._spent_before = batch.substeps.copy()
         self._screens: dict[tuple[int, Set], tuple[Screen, list[Candidate]]] = {}
 
-    def try_all(self, jobs: Sequence[Job]) -> None:
+    def try_all(self, jobs: Sequence[Job], *, free: bool = False) -> None:
         """Refit sets of effects, and record them."""
-        for (tried, _, _), hypothesis in zip(jobs, self.refit(jobs), strict=True):
+        for (tried, _, _), hypothesis in zip(jobs, self.refit(jobs, free=free), strict=True):
             tried.keep(hypothesis)
 
     def seen(self, tried: Tried, members: Set) -> tuple[Screen, list[Candidate]]:
@@ -96,9 +98,13 @@ class ServoSearch:
 
     def look(self, pairs: Sequence[tuple[Tried, Set]]) -> None:
         """Screen all other effects from each of these sets; sets of one size share a launch."""
-        new = {(t.case, s): (t, t.tried[s]) for t, s in pairs if (t.case, s) not in self._screens}
-        lists = [candidates(s, *self.strength(new[case, s][0])) for case, s in new]
-        screens = self.screened(list(new.values()), lists)
+        new = {
+            (tried.case, s): (tried, s)
+            for tried, s in pairs
+            if (tried.case, s) not in self._screens
+        }
+        lists = [candidates(s, *self.strength(tried)) for tried, s in new.values()]
+        screens = self.screened([(tried, tried.tried[s]) for tried, s in new.values()], lists)
         self._screens.update(zip(new, zip(screens, lists, strict=True), strict=True))
 
     def screened(
@@ -106,9 +112,9 @@ class ServoSearch:
     ) -> list[Screen]:
         """What these candidates would explain of what each hypothesis leaves."""
         screens: dict[int, Screen] = {}
-        widths = np.array([h.fit.servos.columns.shape[1] for _, h in places])
-        for width in np.unique(widths):
-            same = np.flatnonzero(widths == width).tolist()
+        widths = [h.fit.servos.columns.shape[1] for _, h in places]
+        for width in sorted(set(widths)):
+            same = [k for k, w in enumerate(widths) if w == width]
             # A finding may have been moved to a place in another batch.
             fits = joined([places[k][1].fit for k in same])
             fits = fits.of_joints([places[k][0].case for k in same])
@@ -148,16 +154,21 @@ class ServoSearch:
         """The parameter row of the best set, from which every other is refitted."""
         return np.array(tried.best.fit.servos.theta[0])
 
-    def refit(self, jobs: Sequence[Job]) -> list[Hypothesis]:
+    def refit(self, jobs: Sequence[Job], *, free: bool = False) -> list[Hypothesis]:
         """Refit sets of effects from parameter rows; the best of several starts stands for all.
 
-        A set is given up where its case has a fit that it can't come near.
+        A set is given up where its case has a fit that it can't come near. ``free``: nothing is
+        fixed.
         """
         if not jobs:
             return []
         servos = [
             with_effects(
-                tried.plain.fit.servos, members, as_read(theta, members), self.strength(tried)[1]
+                tried.plain.fit.servos,
+                members,
+                as_read(theta, members),
+                self.strength(tried)[1],
+                frozenset() if free else self.fixed.get(tried.case, frozenset()),
             )
             for tried, members, theta in jobs
         ]
@@ -189,6 +200,20 @@ class ServoSearch:
             Hypothesis(members, fits[k], evidence_of(fits[k], members - tried.base))
             for (tried, members, _), k in zip(jobs, place, strict=True)
         ]
+
+    def release(self, cases: Sequence[Tried]) -> None:
+        """Refit the most probable sets of each case, and the plain one, with nothing fixed.
+
+        What was fixed was fitted with the most probable set of that time, and favours it.
+        """
+        fixed = [(t, h) for t in cases if self.fixed.get(t.case) for h in self.compared(t)]
+        jobs = [(tried, h.members, h.fit.servos.theta[0]) for tried, h in fixed]
+        for (tried, h), refitted in zip(fixed, self.refit(jobs, free=True), strict=True):
+            more = float(refitted.fit.loglikelihood[0] - h.fit.loglikelihood[0])
+            # All are as free: what freedom costs is the same for each.
+            if more > 0:
+                tried.tried[h.members] = replace(refitted, evidence=h.evidence + more)
+                self._screens.pop((tried.case, h.members), None)
 
     def compared(self, tried: Tried) -> list[Hypothesis]:
         """The sets that are compared: the best, the best without each effect, its rivals."""

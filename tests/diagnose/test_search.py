@@ -28,6 +28,7 @@ def test_what_a_search_has_missed_is_found_again(rubbing):
     ledger = replace(rubbing.tried, tried={frozenset(): rubbing.tried.plain})
     search_again(rubbing.search, [ledger])
     assert ledger.best.members == {"coulomb_friction"}
+    assert not rubbing.search.fixed
 
 
 def test_nothing_is_found_where_nothing_is_missing(nothing):
