@@ -9,7 +9,6 @@ import numpy as np
 from scipy.special import expit
 
 from sim2real.arrays import Array
-from sim2real.diagnose.baseline import BLOCKS, with_effects
 from sim2real.diagnose.case import Case, JointCase, batch_of, prepared
 from sim2real.diagnose.change import Change, what_changed
 from sim2real.diagnose.contrast import Changes, noise_of
@@ -19,7 +18,7 @@ from sim2real.diagnose.explained import way_of
 from sim2real.diagnose.investigate import ROUNDING, Finding, investigate
 from sim2real.diagnose.reading_noise import without_wrong_readings
 from sim2real.diagnose.result import Experiment
-from sim2real.diagnose.servo_search import ServoSearch, plain_sets
+from sim2real.diagnose.servo_search import BLOCKS, ServoSearch, plain_sets, with_effects
 from sim2real.diagnose.unmodelled import unmodelled
 from sim2real.effects import named
 from sim2real.identification.joint_fit import EXPLAINED, choose_motor
