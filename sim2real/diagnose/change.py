@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import expit
 
-from sim2real.arrays import Array
-from sim2real.diagnose.contrast import LOAD, LOADS, Comparison, Fitted, compared, screened
+from sim2real.arrays import Array, Index
+from sim2real.diagnose.contrast import LOAD, Comparison, Fitted
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.effect_probabilities import Group
 from sim2real.diagnose.explained import Explained, explained
@@ -25,9 +25,7 @@ from sim2real.diagnose.unmodelled import Windows
 from sim2real.effects import SET_ANEW
 from sim2real.identification.servo_problem import Set
 from sim2real.inference.evidence import student
-from sim2real.inference.least_squares import rms
 from sim2real.inference.segments import Window
-from sim2real.noise import noise_floor
 from sim2real.robot import Servo
 from sim2real.servo.linearised import Residual
 from sim2real.servo.trace import Trace
@@ -65,7 +63,8 @@ class Change:
     def effects(self) -> Set:
         """Effects of the catalogue that ``row`` has for what is named."""
         heads = {g.members[0] for g in self.named} - {self.link.effect if self.link else ""}
-        return frozenset((heads - {*SET_ANEW}) | {*(LOADS if LOAD in heads else ())})
+        load = {"unmodelled_inertia", "gravity_load"} if LOAD in heads else set()
+        return frozenset((heads - {*SET_ANEW}) | load)
 
 
 def what_changed(
@@ -83,124 +82,134 @@ def what_changed(
     of = explained(references, case, row, servo.position_step_rad)
     if not of.case.any():
         return Change((Group((LOAD,), 0.0),), {}, row)
-    by = compared(of, servo)
-    looks = screened(by.case, of.row, by.every)
-    some = dict.fromkeys([*[*looks][:_MOST], *(name for name in looks if name in SET_ANEW)])
+    by = Comparison(of, servo)
+    looks = by.screened(by.case, of.row)
+    ranked = sorted(looks, key=lambda name: -looks[name][0])
+    some = dict.fromkeys([*ranked[:_MOST], *(n for n in ranked if n in SET_ANEW)])
     fits = [by.fitted([name], [looks[name][1], of.row]) for name in some]
     best = max(fits, key=lambda fit: fit.evidence)
-    by, least = by.doubted(best), min(_NEAR * best.evidence, best.evidence)
+    by.doubt(best)
+    least = _NEAR * best.evidence if best.evidence > 0 else best.evidence
     near = [fit for fit in fits if fit.evidence >= least]
-    fits = [by.fitted(fit.names, [fit.fit.row, of.row]) for fit in near]
-    change = _single(by, fits)
-    wrong = DECISION.change.law_error**2 * by.start[1]
-    least = min(fit.left[1] for fit in fits)
+    fits = [by.fitted(fit.names, [fit.row, of.row]) for fit in near]
+    change = _single(by, fits, looks)
+    wrong = DECISION.change.law_error**2 * by.start_bare
+    least = min(fit.bare for fit in fits)
     if of.way == "repeat" and least > max(DECISION.change.misfit_ratio, wrong):
         change = _pair(by, fits) or change
     return _with_nameless(by, change, step_rad)
 
 
-def _single(by: Comparison, fits: Sequence[Fitted]) -> Change:
+def _single(by: Comparison, fits: Sequence[Fitted], looks: Mapping[str, object]) -> Change:
     """One change, or none, or one that has no name."""
     best = max(fits, key=lambda fit: fit.evidence)
+    shrink = best.trust
     known, null = _null_gain(by, best)
-    sure = float(expit(student(best.gain / null, known) + LOG_PRIOR))
-    by_name = {fit.names[0]: fit for fit in fits}
-    # as likely of all parameters together as of all effects
-    more = len(FITTED) / len(SET_ANEW)
-    group, probability = _group(by_name, best.gain, sure, more)
-    head = by_name[group.members[0]]
-    if by.of.way == "rest" or head.left[0] > DECISION.change.misfit_ratio:
+    sure = float(expit(student(best.gain * shrink / null, known) + LOG_PRIOR))
+    behind = np.array([best.evidence - fit.evidence for fit in fits]) * shrink
+    share = np.exp(-behind / (1 + DECISION.change.law_error**2 * 2 * best.gain * shrink))
+    # As likely of all parameters together as of all effects.
+    share *= [len(FITTED) / len(SET_ANEW) if fit.names[0] in SET_ANEW else 1.0 for fit in fits]
+    share *= sure / share.sum()
+    probability = {fit.names[0]: float(p) for fit, p in zip(fits, share, strict=True)}
+    group = _group(probability)
+    (head,) = (fit for fit in fits if fit.names[0] == group.members[0])
+    if by.of.way == "rest" or head.left > DECISION.change.misfit_ratio:
         most = min(group.probability, DECISION.change.most_certain)
         group = replace(group, probability=most)
-    return Change((group,), probability, head.fit.row, sizes=head.sizes, left=head.left[0])
+    return Change((group,), probability, head.row, sizes=head.sizes, left=head.left)
 
 
 def _null_gain(by: Comparison, best: Fitted) -> tuple[float, float]:
     """Number of unchanged recordings that are known, and the mean gain of a change in them."""
-    numbers = DECISION.change
-    usual = numbers.null_rest * by.count if by.of.way == "rest" else numbers.null_repeat
-    if by.of.way == "law":  # the share of the residual that is not the sensor's noise
-        traces = by.of.traces[: by.of.references]
-        floor = max(noise_floor(t.t, t.command, t.position) for t in traces)
-        usual += numbers.null_law * by.count * max(0.0, 1 - floor**2 / float(by.noise[0]))
-    kinds = {name: by.every[name] for name in best.names}
-    looks = [screened(one, by.of.row, kinds) for one in by.references]
-    gains = [max((gain for gain, _ in look.values()), default=0.0) for look in looks]
-    known = numbers.null_known + len(gains)
-    return known, (numbers.null_known * usual + sum(gains)) / known
+    numbers, way = DECISION.change, by.of.way
+    count = by.case.count * by.case.trust
+    usual = numbers.null_rest * count if way == "rest" else numbers.null_repeat
+    usual += numbers.null_law * count * by.misfit
+    seen = []
+    for reference in by.references:
+        looks = by.screened(reference, by.of.row, only=best.names)
+        gain = max(looks.get(name, (0.0, 0))[0] for name in best.names)
+        seen.append(float(gain))
+    known = numbers.null_known + len(seen)
+    return known, (numbers.null_known * usual + sum(seen)) / known
 
 
-def _group(
-    fits: Mapping[str, Fitted], gain: float, sure: float, set_anew: float = 1.0
-) -> tuple[Group, dict[str, float]]:
-    """The most probable change and those that are indistinguishable from it; the share of each.
-
-    Together they are as probable as ``sure``; a parameter that is ``set_anew`` is that much more
-    probable than an effect. Laws are wrong by a share of a ``gain``.
-    """
-    blur = 1 + DECISION.change.law_error**2 * 2 * gain
-    evidence = np.array([fit.evidence for fit in fits.values()])
-    share = np.exp((evidence - evidence.max()) / blur)
-    share *= [set_anew if name in SET_ANEW else 1.0 for name in fits]
-    share *= sure / share.sum()
-    ranked = sorted(zip(fits, share.tolist(), strict=True), key=lambda entry: -entry[1])
-    alike = [(name, p) for name, p in ranked if p >= DECISION.group_share * ranked[0][1]]
-    total = min(sum(p for _, p in alike), DECISION.most_certain)
-    return Group(tuple(name for name, _ in alike), total), dict(ranked)
+def _group(probability: Mapping[str, float]) -> Group:
+    """The most probable change and those that are indistinguishable from it."""
+    order = sorted(probability, key=lambda n: -probability[n])
+    members = [n for n in order if probability[n] >= DECISION.group_share * probability[order[0]]]
+    sure = min(sum(probability[n] for n in members), DECISION.most_certain)
+    return Group(tuple(members), sure)
 
 
 def _pair(by: Comparison, fits: Sequence[Fitted]) -> Change | None:
     """Two changes together, where they explain far more than any does alone."""
     alone = {fit.names[0]: fit for fit in fits}
     found: dict[Set, Fitted] = {}
-    heads = sorted(alone, key=lambda name: alone[name].left[1])[:_HEADS]
-    for _ in range(2):  # then the rivals of either of the best two, together with the other one
-        for name in heads:
-            alone[name] = first = alone.get(name) or by.fitted([name], [by.of.row])
-            looks = screened(by.case, first.fit.row, by.joining(first.fit.row, name))
-            for other in [*looks][: _MOST // 2]:
-                if frozenset((name, other)) not in found:
-                    pair = by.fitted([name, other], [looks[other][1]])
-                    found[frozenset((name, other))] = pair
-        two = max(found.values(), key=lambda fit: fit.evidence)
-        heads = list(two.names)
-    least = min(fit.left[1] for fit in fits)
-    if _unexplained(by, two.left[0]) or DECISION.change.misfit_ratio * two.left[1] > least:
+
+    def extend(name: str, most: int) -> None:
+        """Fit the changes that add most to this one."""
+        first = alone.get(name) or by.fitted([name], [by.of.row])
+        looks = by.screened(by.case, first.row, frozenset((name,)))
+        for other in sorted(looks, key=lambda n: -looks[n][0])[:most]:
+            pair = frozenset((name, other))
+            if pair not in found:
+                found[pair] = by.fitted([name, other], [looks[other][1]])
+
+    def best() -> Fitted:
+        return max(found.values(), key=lambda fit: fit.evidence)
+
+    for fit in sorted(fits, key=lambda fit: fit.bare)[:_HEADS]:
+        extend(fit.names[0], _MOST // 2)
+    for name in best().names:  # its rivals, together with the other one
+        extend(name, _MOST // 2)
+    two = best()
+    least = min(fit.bare for fit in fits)
+    if _unexplained(by, two.left) or DECISION.change.misfit_ratio * two.bare > least:
         return None
-    probability, groups = dict[str, float](), []
+    probability: dict[str, float] = {}
+    groups = []
+    shrink = two.trust
     for head, other in (two.names, two.names[::-1]):
         rivals = {next(iter(p - {other})): fit for p, fit in found.items() if other in p}
         # As wrong as a law may be of what this one explains together with the other.
-        more = max(two.gain - (alone[other].gain if other in alone else 0.0), 0.0)
-        group, mine = _group({head: two} | rivals, more, DECISION.most_certain)
-        groups.append(group)
-        for name, p in mine.items():
-            probability[name] = max(probability.get(name, 0.0), 0.5 * p)
-    return Change(tuple(groups), probability, two.fit.row, sizes=two.sizes, left=two.left[0])
+        more = max(two.gain - alone[other].gain if other in alone else two.gain, 0.0)
+        blur = 1 + DECISION.change.law_error**2 * 2 * more * shrink
+        cost = {n: two.evidence - fit.evidence for n, fit in rivals.items()}
+        weight = {n: float(np.exp(-x * shrink / blur)) for n, x in cost.items()}
+        total = sum(weight.values())
+        mine = {n: DECISION.most_certain * w / total for n, w in weight.items()}
+        groups.append(_group({head: mine.pop(head)} | mine))
+        probability |= {n: 0.5 * p for n, p in mine.items() if p > probability.get(n, 0.0)}
+        probability[head] = 0.5 * groups[-1].probability
+    return Change(tuple(groups), probability, two.row, sizes=two.sizes, left=two.left)
 
 
 def _unexplained(by: Comparison, left: float) -> bool:
     """Whether most of what a case has beyond its references is left, mean squares in theirs."""
     numbers = DECISION.change
-    return left > max((1 - numbers.explained_share) * by.start[0], numbers.misfit_ratio)
+    return left > max((1 - numbers.explained_share) * by.start, numbers.misfit_ratio)
 
 
 def _with_nameless(by: Comparison, change: Change, step_rad: float) -> Change:
     """The change, and what is in the case besides that it does not explain."""
-    of, numbers, named = by.of, DECISION.change, bool(change.named)
-    residual = replace(of, row=change.row).residual if named else of.residual
+    of, numbers = by.of, DECISION.change
+    remaining = replace(of)
+    if change.named:
+        remaining = replace(of, row=change.row)
     # beyond what is named, a law is wrong by a share of what it explains
-    explained_jump = _jumps(of, of.residual - residual)[of.references :]
-    largest = max((float(size.max(initial=0.0)) for _, size in explained_jump), default=0.0)
-    windows = jump_windows(of, residual, max(step_rad, numbers.law_error * largest))
-    left = change.left if named else by.start[0]
-    if of.way == "repeat" and not named and (windows is None or _lasting(of, windows)):
+    jump = _largest_jump(of, of.residual - remaining.residual)
+    windows = jump_windows(of, remaining.residual, max(step_rad, numbers.law_error * jump))
+    left = change.left if change.named else by.start
+    limit = numbers.foreign_misfit if of.way == "law" else numbers.misfit_ratio
+    foreign = not change.named and left > limit
+    if of.way == "repeat" and not change.named and (windows is None or _lasting(of, windows)):
         late = _irregular_timing(of)
         if late is not None:
             return late
-    foreign = left > (numbers.foreign_misfit if of.way == "law" else numbers.misfit_ratio)
-    badly = of.way != "law" and _unexplained(by, left)
-    if windows is None and not (badly if named else foreign):
+    badly = of.way != "law" and bool(change.named) and _unexplained(by, left)
+    if windows is None and not foreign and not badly:
         return change
     known = 1 - DECISION.uncatalogued_probability
     return replace(
@@ -212,18 +221,23 @@ def _with_nameless(by: Comparison, change: Change, step_rad: float) -> Change:
     )
 
 
-def _jumps(of: Explained, residual: Array) -> list[tuple[Array, Array]]:
-    """Times and sizes of steps of a residual (n,) between neighbouring samples, by recording.
+def _jumps(of: Explained, residual: Array) -> tuple[Array, Array, Index]:
+    """Times, sizes and recordings of steps of a residual (n,) between neighbouring samples.
 
     What acts on a shaft moves it smoothly. A residual jumps where the sensor, the clock or the horn
     does something of its own.
     """
-    jumps = []
-    for r, trace in enumerate(of.traces):
-        t, error = trace.t[trace.used], residual[of.recording == r]
-        good = np.diff(t) < 1.5 * float(np.median(np.diff(trace.t)))
-        jumps.append((t[1:][good], np.abs(np.diff(error))[good]))
-    return jumps
+    t = np.concatenate([trace.t[trace.used] for trace in of.traces])
+    period = np.array([float(np.median(np.diff(trace.t))) for trace in of.traces])
+    apart, place = np.diff(t), of.recording
+    good = (place[1:] == place[:-1]) & (apart < 1.5 * period[place[1:]])
+    return t[1:][good], np.abs(np.diff(residual))[good], place[1:][good]
+
+
+def _largest_jump(of: Explained, residual: Array, *, case: bool = True) -> float:
+    """Largest step of a residual in the case or in the references, rad; 0 where none is."""
+    _, size, place = _jumps(of, residual)
+    return float(size[(place >= of.references) == case].max(initial=0.0))
 
 
 def jump_windows(of: Explained, residual: Array, step_rad: float = 0.0) -> Windows | None:
@@ -232,24 +246,35 @@ def jump_windows(of: Explained, residual: Array, step_rad: float = 0.0) -> Windo
     To the recording's end where there is but one jump, or where the residual (n,) stays far larger
     than before. None where there are none.
     """
-    numbers, R = DECISION.change, of.references
-    usual = [float(size.max(initial=0.0)) for _, size in _jumps(of, of.residual)[:R]]
-    # at rest the residual may be nothing but a step of the sensor
-    least = np.sqrt(12) * of.least_sd if of.way == "rest" else of.least_sd
-    limit = numbers.repeated_jump_ratio if of.way == "repeat" else numbers.jump_ratio
-    limit *= max(*usual, step_rad, least)
-    windows = list[tuple[Window, ...]]()
-    for r, (t, size) in enumerate(_jumps(of, residual)[R:], start=R):
-        when, trace = t[size > limit], of.traces[r]
-        if limit <= 0 or not when.size:
+    usual = max(_largest_jump(of, of.residual, case=False), step_rad, of.least_sd)
+    if of.way == "rest":  # the residual may be nothing but a step of the sensor
+        usual = max(usual, float(np.sqrt(12)) * of.least_sd)
+    if usual <= 0:
+        return None
+    numbers = DECISION.change
+    ratio = numbers.repeated_jump_ratio if of.way == "repeat" else numbers.jump_ratio
+    at, size, place = _jumps(of, residual)
+    windows: list[tuple[Window, ...]] = []
+    for r in range(of.references, len(of.traces)):
+        when = at[(place == r) & (size > ratio * usual)]
+        if not when.size:
             windows.append(())
             continue
-        error, at = residual[of.recording == r], trace.t[trace.used]
-        before = max(rms([of.residual[~of.case]]), rms([error[at < when[0]]]))
-        stays = rms([error[at > when[-1]]]) > numbers.lasting_ratio * before
-        last = trace.t[-1] if when.size == 1 or stays else when[-1]
-        windows.append(((float(when[0]), float(last)),))
+        first, last = float(when[0]), float(when[-1])
+        if when.size == 1 or _stays(of, residual, r, first, last):
+            last = float(of.traces[r].t[-1])
+        windows.append(((first, last),))
     return tuple(windows) if any(windows) else None
+
+
+def _stays(of: Explained, residual: Array, r: int, first: float, last: float) -> bool:
+    """Whether a recording is far off after the last jump, and was not before the first."""
+    t, error2 = of.traces[r].t[of.traces[r].used], residual[of.recording == r] ** 2
+    before, after = error2[t < first], error2[t > last]
+    if before.size == 0 or after.size == 0:
+        return False
+    usual = max(float(np.mean(before)), float(np.mean(of.residual[~of.case] ** 2)))
+    return float(np.mean(after)) > DECISION.change.lasting_ratio**2 * usual
 
 
 def _lasting(of: Explained, windows: Windows) -> bool:
@@ -274,8 +299,9 @@ def _irregular_timing(of: Explained, *, lags: int = 2, least_gain: float = 1.0) 
         return None
     null2 = max(DECISION.change.jitter_min_share * period, *late[: of.references]) ** 2
     known = DECISION.change.null_known + of.references
-    sure = float(expit(student(late[worst] ** 2 / null2, known) + LOG_PRIOR))
-    sure, effect = min(sure, DECISION.most_certain), links[worst].effect
+    odds = student(late[worst] ** 2 / null2, known) + LOG_PRIOR
+    sure = min(float(expit(odds)), DECISION.most_certain)
     if sure < DECISION.named:
         return None
+    effect = links[worst].effect
     return Change((Group((effect,), sure),), {effect: sure}, of.row, link=links[worst])

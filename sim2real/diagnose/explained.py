@@ -19,18 +19,24 @@ from sim2real.arrays import Array, Index, Mask
 from sim2real.diagnose.decision import DECISION
 from sim2real.identification.problem import ServoProblem
 from sim2real.noise import noise_floor
-from sim2real.servo.parameters import beyond_load
-from sim2real.servo.rollout import LONGEST_SUBSTEP_S
+from sim2real.servo.parameters import BASE, beyond_load
+from sim2real.servo.rollout import LONGEST_SUBSTEP_S, Simulator
 from sim2real.servo.trace import Trace
 
 Way = Literal["repeat", "rest", "law"]
 
 
 class SameSteps(ServoProblem):
-    """A servo to be compared with others, whose sub-steps differ as little as possible.
+    """A servo to be compared with another one of other parameters.
 
-    So differences are of physics.
+    Loads of rows are in addition to those that are stated. Sub-steps change as little as possible,
+    so that differences are of physics.
     """
+
+    @cached_property
+    def simulator(self) -> Simulator:
+        """Simulator of these traces, to whose loads those of servos are added."""
+        return Simulator(self.traces, add_loads=True)
 
     @cached_property
     def exact(self) -> bool:
@@ -56,13 +62,15 @@ class Explained:
     # the recordings less what references say that the law misses; what is looked at is ``used``
     traces: tuple[Trace, ...]
     references: int  # number of references
-    row: Array  # parameters of the references' servo, shape (P,)
+    row: Array  # parameters of the references' servo, its load 0 in addition, shape (P,)
     least_sd: float  # smallest standard deviation that a residual may have, rad
+    mates: tuple[tuple[int, ...], ...]  # of each recording the references like it, all or none
 
     @cached_property
     def residual(self) -> Array:
         """Measured minus explained angles of all recordings in turn, rad, shape (n,)."""
-        return np.asarray(-SameSteps(self.traces, self.row, ()).row_residuals(self.row[None])[0])
+        errors = SameSteps(self.traces, self.row, ()).row_residuals(self.row[None])
+        return np.asarray(-errors[0])
 
     @cached_property
     def recording(self) -> Index:
@@ -95,21 +103,26 @@ def explained(
     """
     traces, R = [*references, *case], len(references)
     way, least = way_of(references, case), 1e-9
+    row = row.copy()
+    row[BASE.index("inertia_kgm2") : BASE.index("gravity_Nm") + 1] = 0.0
+    mates = [tuple(q for q in range(R) if q != r) for r in range(len(traces))]
     errors = _law_errors(traces, row)
-    missed = [np.zeros(error.size) for error in errors]
     if way == "rest":
         differences, spread2 = beside_rest(traces, R, step_rad)
         least = float(np.sqrt(max(spread2, step_rad**2 / 12)))
-        missed = [error - x for error, x in zip(errors, differences, strict=True)]
+        shared = [error - x for error, x in zip(errors, differences, strict=True)]
     elif way == "repeat":
-        missed = in_common(traces, errors, R)
-        if not np.isfinite(np.concatenate(missed[:R])).any():  # each has a command of its own
-            least = 2 * max(noise_floor(t.t, t.command, t.position) for t in traces[:R])
+        shared, mates = in_common(traces, errors, R)
+        if not np.isfinite(np.concatenate(shared[:R])).any():  # each has a command of its own
+            floors = (noise_floor(t.t, t.command, t.position) for t in traces[:R])
+            least = 2 * max(floors)
+    else:
+        shared = [np.zeros(error.size) for error in errors]
     freed = tuple(
         replace(t, position=t.position - more, used=np.isfinite(error - more))
-        for t, more, error in zip(traces, missed, errors, strict=True)
+        for t, more, error in zip(traces, shared, errors, strict=True)
     )
-    return Explained(way, freed, R, row, least)
+    return Explained(way, freed, R, row, least, tuple(mates))
 
 
 def _law_errors(
@@ -124,35 +137,45 @@ def _law_errors(
     kp, kd, latency = (float(x) for x in row[:3])
     rate = np.real((kd - np.sqrt(complex(kd**2 - 4 * kp * total))) / (2 * total))
     memory_s = float(np.clip(latency + 12 / max(rate, 1e-9), *limits_s))
-    problem, errors = SameSteps(traces, row, ()), []
-    angles = problem.simulator.angles(row[None], problem.substeps(row[None]))
-    for trace, (angle,) in zip(traces, angles, strict=True):
+    errors = []
+    full = [replace(trace, used=np.ones(trace.t.size, dtype=bool)) for trace in traces]
+    problem = SameSteps(full, row, ())
+    parts = problem.by_trace(-problem.row_residuals(row[None])[0])
+    for trace, error in zip(traces, parts, strict=True):
         apart = np.diff(trace.t, prepend=trace.t[0])
         gap = apart > 1.5 * float(np.median(apart[1:]))
-        since = np.maximum.accumulate(np.where(gap, trace.t, trace.t[0]))
-        counts = trace.used & (trace.t - since > memory_s)
-        errors.append(np.where(counts, trace.position - angle, np.nan))
+        last = np.maximum.accumulate(np.where(gap, np.arange(gap.size), 0))
+        counts = trace.used & (trace.t - trace.t[last] > memory_s)
+        errors.append(np.where(counts, error, np.nan))
     return errors
 
 
-def in_common(traces: Sequence[Trace], errors: Sequence[Array], references: int) -> list[Array]:
-    """What the law leaves of other references with the command of each recording, rad.
+def in_common(
+    traces: Sequence[Trace], errors: Sequence[Array], references: int
+) -> tuple[list[Array], list[tuple[int, ...]]]:
+    """What the law leaves (T,) of other references with the command of each recording, rad.
 
     Physics that a law lacks is in both recordings of one command, and not in their difference.
-    ``errors`` are measured minus simulated angles, the references first, NaN where unknown. For
-    each recording the mean over these references, shape (T,), NaN at times that none covers.
+    ``errors`` are measured minus simulated angles, the references first, NaN where unknown.
+
+    Returns:
+        For each recording the mean over these references, NaN at times that none covers, and the
+        places of these.
     """
-    shared = []
+    shared, mates = [], []
     for trace in traces:
-        common = [np.full(trace.t.size, np.nan)]
-        for other, error in zip(traces[:references], errors, strict=False):
+        common, mine = [], []
+        for q, (other, error) in enumerate(zip(traces[:references], errors, strict=False)):
             lag, difference = (0.0, np.inf) if other is trace else alignment(trace, other)
             if difference < DECISION.change.same_command:
+                mine.append(q)
                 there = np.isfinite(error)
                 pair = other.t[there], error[there]
                 common.append(np.interp(trace.t + lag, *pair, np.nan, np.nan))
-        shared.append(np.ma.masked_invalid(common).mean(axis=0).filled(np.nan))
-    return shared
+        known = [*common, np.full(trace.t.size, np.nan)]
+        shared.append(np.ma.masked_invalid(known).mean(axis=0).filled(np.nan))
+        mates.append(tuple(mine))
+    return shared, mates
 
 
 def alignment(trace: Trace, other: Trace, *, lags_tried: int = 61) -> tuple[float, float]:
@@ -161,10 +184,12 @@ def alignment(trace: Trace, other: Trace, *, lags_tried: int = 61) -> tuple[floa
     The difference is a root mean square, in standard deviations of the first command.
     """
     size = float(np.std(trace.command))
+    if size == 0:
+        return 0.0, np.inf
 
     def difference(lag: float) -> float:
         inside = (trace.t + lag >= other.t[0]) & (trace.t + lag <= other.t[-1])
-        if size == 0 or inside.mean() < DECISION.change.same_command_overlap:
+        if inside.mean() < DECISION.change.same_command_overlap:
             return float("inf")
         moved = np.interp(trace.t[inside] + lag, other.t, other.command) - trace.command[inside]
         return float(np.sqrt(np.mean(moved**2))) / size

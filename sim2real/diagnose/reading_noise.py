@@ -78,9 +78,10 @@ def left_out(traces: Sequence[Trace]) -> Iterator[str]:
         if wrong.any():
             count = int(wrong.sum())
             readings = "one reading" if count == 1 else f"{count} readings"
-            times = ", ".join(f"{t:.2f}" for t in trace.t[wrong][:3]) + ", ..." * (count > 3)
-            what = f"{readings} of {trace.name} left out"
-            yield f"{what}, far from those before and after: at {times} s."
+            yield (
+                f"{readings} of {trace.name} left out, far from those before and after: "
+                f"{_at(trace.t[wrong])}"
+            )
         lost = np.isfinite(trace.position) & ~trace.used & ~wrong
         if lost.any():
             first, last = trace.t[lost][[0, -1]]
@@ -92,6 +93,12 @@ def left_out(traces: Sequence[Trace]) -> Iterator[str]:
     if known is not None:
         jitter = 1e3 * known[0]
         yield f"the noise grows with speed, as of readings whose times vary by {jitter:.1f} ms."
+
+
+def _at(times: Array, *, most: int = 3) -> str:
+    """Some times in words."""
+    more = ", ..." if times.size > most else ""
+    return f"at {', '.join(f'{t:.2f}' for t in times[:most])}{more} s."
 
 
 def rest_noise(traces: Sequence[Trace]) -> float:
@@ -110,25 +117,33 @@ def jitter_s(
     noise of the fastest readings is less than ``least_ratio`` times that of the slowest, or times
     vary by less than ``least_share`` of a period, as those of a sensor that is read in time.
     """
-    step = max(t.quantization_step() for t in traces) / np.sqrt(12)
-    found = []
-    for order in _ORDERS:
-        parts = [_differences(t, order) for t in traces]
-        noise, speed = (np.concatenate(x) for x in zip(*parts, strict=True))
-        if noise.size < _GROUPS * _FEWEST:
-            return None
-        groups = np.array_split(np.argsort(speed, kind="stable"), _GROUPS)
-        rest = max(float(np.sqrt(np.mean(noise[groups[0]] ** 2))), step, 1e-6)
-        faster = groups[_GROUPS // 2 :]
-        sd = np.array([SD_PER_MEDIAN * np.median(np.abs(noise[group])) for group in faster])
-        if sd[-1] <= least_ratio * rest:
-            return None
-        typical2 = np.array([np.mean(speed[group] ** 2) for group in faster])
-        times2 = np.median(np.maximum(sd**2 - rest**2, 0.0) / typical2)
-        found.append((float(np.sqrt(times2)), rest))
-    smallest = min(found)
+    found = [_of_order(traces, order, least_ratio) for order in _ORDERS]
+    smallest = min(found, key=lambda one: -1.0 if one is None else one[0])
     period = float(np.median([t.period_s for t in traces]))
-    return smallest if smallest[0] > least_share * period else None
+    return smallest if smallest is not None and smallest[0] > least_share * period else None
+
+
+def _of_order(
+    traces: Sequence[Trace], order: int, least_ratio: float
+) -> tuple[float, float] | None:
+    """``jitter_s`` from differences of one order."""
+    parts = [_differences(t, order) for t in traces]
+    noise, speed = (np.concatenate(x) for x in zip(*parts, strict=True))
+    if noise.size < _GROUPS * _FEWEST:
+        return None
+    slowest = np.argsort(speed, kind="stable")[: noise.size // _GROUPS]
+    step = max(t.quantization_step() for t in traces) / np.sqrt(12)
+    rest = max(float(np.sqrt(np.mean(noise[slowest] ** 2))), step, 1e-6)
+    times, fastest = _times_s(noise, speed, rest)
+    return (times, rest) if fastest > least_ratio * rest else None
+
+
+def _times_s(noise: Array, speed: Array, rest: float) -> tuple[float, float]:
+    """Standard deviation of times in s that makes such noise (N,), and the noise of the fastest."""
+    order = np.array_split(np.argsort(speed, kind="stable"), _GROUPS)[_GROUPS // 2 :]
+    sd = np.array([SD_PER_MEDIAN * np.median(np.abs(noise[part])) for part in order])
+    typical = np.array([np.mean(speed[part] ** 2) for part in order])
+    return float(np.sqrt(np.median(np.maximum(sd**2 - rest**2, 0.0) / typical))), float(sd[-1])
 
 
 def _differences(trace: Trace, order: int) -> tuple[Array, Array]:

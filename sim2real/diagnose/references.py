@@ -26,23 +26,32 @@ from sim2real.identification.priors import motor_prior, of_effects, plain_parame
 from sim2real.identification.problem import Fit, ServoProblem
 from sim2real.identification.search import fit
 from sim2real.identification.servo_problem import (
+    Fits,
     Hypothesis,
+    Servos,
+    Set,
     Tried,
     joined,
     minimise,
     plain_servos,
 )
 from sim2real.identification.starts import first_guess
+from sim2real.inference.correlated_noise import correlation_samples
 from sim2real.inference.least_squares import rms
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.progress import Progress
 from sim2real.robot import Servo
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import COLUMNS, LOSSES, joint_row, stated
+from sim2real.servo.parameters import BASE, COLUMNS, LOSSES, joint_row, stated
 from sim2real.servo.trace import Trace, sensor_noise, traces
 
 _SET_POINT = "rate_limit"
 _LIMIT = COLUMNS.index(f"{_SET_POINT}.limit_rad_s")
+_LOADS = {
+    BASE.index("inertia_kgm2"): COLUMNS.index("unmodelled_inertia.inertia_kgm2"),
+    BASE.index("gravity_Nm"): COLUMNS.index("gravity_load.torque_Nm"),
+}
+"""Columns of a load in addition to the stated one, and of the effects that state it."""
 
 
 def with_known_servos(case: Case, rng: np.random.Generator) -> Case:
@@ -76,9 +85,9 @@ def law_of(
     if way_of(references, case) == "rest":
         return stated(plain.row, load)
     motor = choose_motor(references, plain, servo, rng)
-    row = motor.row
-    if rms([motor.error]) > EXPLAINED * sensor_noise(references):
-        row = _with_losses(motor, servo)
+    if rms([motor.error]) < EXPLAINED * sensor_noise(references):
+        return stated(motor.row, load, motor.effects, motor.law)
+    row = _with_losses(motor, servo)
     limit = float(row[_LIMIT])
     limits = (FittedEffect(_SET_POINT, {"limit_rad_s": limit}),) if limit else ()
     return stated(row, load, (*motor.effects, *limits), motor.law)
@@ -89,7 +98,8 @@ def _with_losses(motor: Fit, servo: Servo) -> Array:
 
     Noise that grows with speed hides in one common scale what slow motions show.
     """
-    row, traces = motor.row, motor.problem.traces
+    row, traces = motor.row.copy(), motor.problem.traces
+    row[list(_LOADS)] = 0.0
     limit = of_effects([named(_SET_POINT)], row, motor.inertia)
     free = {p.name: p for p in (*motor_prior(servo, traces).of(LOSSES), *motor.parameters)}
     starts = np.tile(row, (6, 1))
@@ -99,12 +109,13 @@ def _with_losses(motor: Fit, servo: Servo) -> Array:
     for parameters in ((*free.values(), *limit), tuple(free.values())):
         problem = Changes(traces, row, parameters, motor.problem.ties)
         noise = noise_of(problem.error, problem.speed, 1e-6)
-        problem = problem.weighted(noise, problem.inflation(problem.error), law_error=0.0)
+        times = [correlation_samples(x) for x in problem.by_trace(problem.error)]
+        problem = problem.weighted(noise, times, law_error=0.0)
         better = fit(problem, starts, rounds=2, first=15, later=10, last=20)
         before = problem.loss(problem.searched(row[None]), problem.error[None], 1.0, 1.0)[0]
         if 0.5 * (before - better.loss(1.0)) > DECISION.decisive_gain:
             return better.row
-    return row
+    return motor.row
 
 
 def findings_of(
@@ -137,35 +148,49 @@ def _not_searched(
     """Findings of joints that are compared with their references: nothing as yet."""
     rows = [joint_row(x.model, x.references[0].load, x.name) for x in joints if x.model]
     inertia = batch.load[batch.first_signal, 0]
-    servos = plain_servos(np.arange(len(joints)), np.array(rows), inertia, batch.period)
-    plain = minimise(batch, servos, iterations=1, blocks=BLOCKS)
+    places = np.arange(len(joints))
+    plain = _evaluated(batch, plain_servos(places, np.array(rows), inertia, batch.period))
     cases = plain_sets(plain, [joint.base for joint in joints])
     without = unmodelled(batch, [x.traces for x in joints], joined([t.plain.fit for t in cases]))
     search = ServoSearch(batch, DECISION.false_alarms / len(joints), rng)
-    nothing = [EffectPosterior((tried.base,), np.ones(1)) for tried in cases]
     return [
-        Finding(tried, search, none, tried.plain, False, False, (), one, 0.0, 1.0, joint.noise)
-        for joint, tried, none, one in zip(joints, cases, nothing, without, strict=True)
+        Finding(
+            tried=tried,
+            search=search,
+            posterior=EffectPosterior((tried.base,), np.ones(1)),
+            best=tried.plain,
+            mismatch=False,
+            unexplained=False,
+            groups=(),
+            unmodelled=one,
+            unknown=0.0,
+            excess=1.0,
+            noise=joint.noise,
+        )
+        for joint, tried, one in zip(joints, cases, without, strict=True)
     ]
+
+
+def _evaluated(batch: Batch, servos: Servos) -> Fits:
+    """Servos as they are, with what a fit states of them."""
+    return minimise(batch, servos, iterations=1, blocks=BLOCKS)
 
 
 def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Finding:
     """The finding in which only what differs from the joint's references, if any, is named."""
-    assert joint.model is not None and joint.servo is not None
-    references, tried = joint.references, finding.tried
+    references = joint.references
+    if not references or joint.model is None or joint.servo is None:
+        return finding
     row = joint_row(joint.model, references[0].load, joint.name)
     change = what_changed(references, joint.traces, row, joint.servo, joint.step_rad or 0.0)
     coarser = _coarser(joint)
     coarse = (Group((ROUNDING,), coarser),) if coarser >= DECISION.named else ()
     nameless = change.nameless > DECISION.named
-    ranked = sorted(change.probability.items(), key=lambda entry: -entry[1])
-    likely = {tried.base | {name}: p for name, p in ranked if name not in tried.base}
-    sets = {tried.base: 1 - sum(likely.values())} | likely
     return replace(
         finding,
         mismatch=bool(change.named or nameless or coarse),
-        best=_with_change(batch, tried, change, references[0].load.inertia_kgm2),
-        posterior=EffectPosterior(tuple(sets), np.array([*sets.values()])),
+        best=_with_change(batch, finding.tried, change, references[0].load.inertia_kgm2),
+        posterior=_posterior(change, finding.tried.base),
         groups=(*coarse, *change.groups),
         unexplained=nameless,
         unknown=change.nameless,
@@ -178,14 +203,24 @@ def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Find
 
 
 def _with_change(batch: Batch, tried: Tried, change: Change, inertia: float) -> Hypothesis:
-    """The servo of the references with what is named."""
+    """The servo of the references with what is named; a load as what is not in the stated one."""
     if not change.named or change.link is not None:
         return tried.plain
-    members = tried.base | change.effects
-    servos = with_effects(tried.plain.fit.servos, members, change.row, inertia, tried.base)
-    servos = replace(servos, theta=change.row[None])
-    fit = minimise(batch, servos, iterations=1, blocks=BLOCKS)
+    row, members = change.row.copy(), tried.base | change.effects
+    for load, effect in _LOADS.items():
+        row[effect] += row[load]
+        row[load] = 0.0
+    servos = with_effects(tried.plain.fit.servos, members, row, inertia, tried.base)
+    fit = _evaluated(batch, replace(servos, theta=row[None]))
     return Hypothesis(members, fit, float(fit.loglikelihood[0]))
+
+
+def _posterior(change: Change, base: Set) -> EffectPosterior:
+    """The probabilities of changes as those of sets, nothing more than ``base`` among them."""
+    likely = {n: p for n, p in change.probability.items() if n not in base}
+    order = sorted(likely, key=lambda n: -likely[n])
+    sets = (base, *(base | {n} for n in order))
+    return EffectPosterior(sets, np.array([1 - sum(likely.values()), *(likely[n] for n in order)]))
 
 
 def _coarser(joint: JointCase) -> float:

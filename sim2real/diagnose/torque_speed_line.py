@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -67,23 +67,34 @@ def models_with_limits(
 
 def _better_limit(search: ServoSearch, joint: JointCase, tried: Tried) -> Hypothesis | None:
     """The best limit with the best set of effects, or in place of one of them, if it is better."""
-    assert joint.servo is not None and joint.stall_Nm is not None
-    best, limits = tried.best, []
-    line, flat = best.fit.servos.theta[0].copy(), best.fit.servos.theta[0].copy()
-    line[LINE_COLUMNS] = joint.stall_Nm, joint.servo.no_load_speed_rad_s
-    line[FLAT_COLUMNS] = 0.0
-    flat[FLAT_COLUMNS] = joint.stall_Nm, 1.0
+    best = tried.best
     alike = [e for e in best.members - tried.base if named(e).site in ("command", "motor")]
-    for members in (best.members, *(best.members - {e} for e in alike)):
-        limits.append(_fitted(search, tried, members - {SATURATION}, line))
-        found = _fitted(search, tried, members | {SATURATION}, flat)
-        if found.fit.servos.theta[0, FLAT_COLUMNS[0]] > DECISION.data_sheet_share * joint.stall_Nm:
-            # At the data sheet's torque it is the motor's law by another name.
-            limits.append(replace(found, evidence=found.evidence - LOG_PRIOR))
+    limits = [
+        limit
+        for members in (best.members, *(best.members - {e} for e in alike))
+        for limit in _limits(search, joint, tried, members)
+    ]
     limit = max(limits, key=lambda one: one.evidence)
     without = tried.tried.get(limit.members - {SATURATION}, tried.plain)
     least = max(best.evidence, without.evidence + DECISION.decisive_gain)
     return limit if limit.evidence > least else None
+
+
+def _limits(
+    search: ServoSearch, joint: JointCase, tried: Tried, members: Set
+) -> Iterator[Hypothesis]:
+    """Fits of a joint's effects together with a limit of its motor."""
+    assert joint.servo is not None and joint.stall_Nm is not None
+    line = tried.best.fit.servos.theta[0].copy()
+    line[LINE_COLUMNS] = joint.stall_Nm, joint.servo.no_load_speed_rad_s
+    line[FLAT_COLUMNS] = 0.0
+    yield _fitted(search, tried, members - {SATURATION}, line)
+    flat = tried.best.fit.servos.theta[0].copy()
+    flat[FLAT_COLUMNS] = joint.stall_Nm, 1.0
+    found = _fitted(search, tried, members | {SATURATION}, flat)
+    if found.fit.servos.theta[0, FLAT_COLUMNS[0]] > DECISION.data_sheet_share * joint.stall_Nm:
+        # At the data sheet's torque it is the motor's law by another name.
+        yield replace(found, evidence=found.evidence - LOG_PRIOR)
 
 
 def _fitted(search: ServoSearch, tried: Tried, members: Set, row: Array) -> Hypothesis:

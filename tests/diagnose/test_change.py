@@ -46,7 +46,8 @@ def test_what_repeats_share_is_taken_away():
     one, other = traced(1, "a"), traced(2, "b")
     bend = 0.05 * np.sin(one.t)
     errors = [bend, bend + 0.01, np.zeros(other.t.size)]
-    shared = in_common([one, replace(one), other], errors, 2)
+    shared, mates = in_common([one, replace(one), other], errors, 2)
+    assert mates == [(1,), (0,), ()]
     np.testing.assert_allclose(shared[0], bend + 0.01, atol=1e-6)
     assert np.isnan(shared[2]).all()
 
