@@ -102,12 +102,14 @@ def read_motor(p: Row) -> Motor:
 class Push:
     """Torque of the motor during a sub-step: ``torque - damping * speed``.
 
-    ``stiffness`` is the derivative of ``torque`` by the error, 0 where the drive clips.
+    ``stiffness`` is the derivative of ``torque`` by the error, 0 where the drive clips. ``seen`` is
+    1 where angle and speed are those of a gear train's output, 0 where they are the motor's.
     """
 
     torque: wp.float64
     damping: wp.float64
     stiffness: wp.float64
+    seen: wp.float64
 
 
 @wp.func

@@ -102,6 +102,8 @@ EFFECT = Effect(
         Parameter("gap_rad", low=0.0, high=0.3, typical=0.03),
         Parameter("rotor_inertia_kgm2", low=4e-5, high=0.02, typical=4e-4, starts=(1.0,)),
         Parameter("output_friction_Nm", low=0.0, high=1.0, typical=0.02, starts=(0.0, 1.0)),
+        Parameter("control_on_output", low=0.0, high=1.0, typical=1.0, starts=(0.0, 1.0)),
+        Parameter("restitution", low=0.0, high=0.95, typical=0.5, starts=(0.0, 1.0)),
     ),
     memory=4,
     order=1,
