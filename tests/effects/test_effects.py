@@ -300,6 +300,16 @@ def test_deadband_rests_at_its_edge():
     assert simulate(kd=0.3, deadband={"halfwidth_rad": 0.05})[-1] == pytest.approx(0.35, abs=1e-4)
 
 
+@pytest.mark.parametrize("step_share", [0.0, 1.0])
+def test_a_dead_band_subtracts_or_switches(step_share):
+    """At rest the controller acts on the error that holds the weight, or on what is beyond."""
+    band = {"halfwidth_rad": 0.05, "step_share": step_share}
+    weight = {"gravity_load": {"torque_Nm": 0.3}}
+    held = simulate(np.full(T.size, 1.5), kp=1.5, kd=0.3, deadband=band, **weight)[-1]
+    acting = 1.5 - held - (1 - step_share) * 0.05
+    assert 1.5 * acting == pytest.approx(0.3 * np.sin(held), rel=1e-4)
+
+
 def test_integral_action_removes_the_static_error():
     weight = {"gravity_load": {"torque_Nm": 0.3}}
     t = 0.02 * np.arange(2000)
