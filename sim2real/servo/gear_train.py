@@ -116,13 +116,13 @@ def apart_for(q: F, v: F, x: F, rate: F, drive: Push, load: F, dry: F, h: F, g: 
     zero = wp.float64(0.0)
     w = v - rate
     output = free_mass(q - x, w, load, zero, g.output, g.friction, h)
-    damping = drive.damping + wp.float64(0.5) * h * drive.stiffness
+    stiff = wp.float64(0.5) * h * drive.stiffness
+    damping = drive.damping + stiff
     torque = drive.torque
     if drive.seen > zero:
-        moved = wp.float64(0.5) * (output[0] - q + x)
-        slowed = drive.stiffness * moved + drive.damping * wp.float64(0.5) * (w + output[1])
-        torque -= drive.seen * slowed
-        damping *= wp.float64(1.0) - drive.seen
+        on_output = drive.seen_damping + drive.seen * stiff
+        torque -= on_output * wp.float64(0.5) * (w + output[1])
+        damping -= on_output
     motor = free_mass(q, v, torque, damping, g.motor, dry, h)
     return wp.vec4d(motor[0], motor[1], output[0], output[1])
 
@@ -158,6 +158,7 @@ def across_gap(state: wp.vec4d, drive: Push, load: F, dry: F, h: F, g: Train) ->
     push.damping = drive.damping
     push.stiffness = drive.stiffness
     push.seen = drive.seen
+    push.seen_damping = drive.seen_damping
     while phase < _PHASES and remaining > zero:
         phase += 1
         side = zero
@@ -214,15 +215,15 @@ def through_spring(state: wp.vec4d, drive: Push, load: F, dry: F, h: F, g: Train
             stretch = zero
             gain = zero
     force = g.stiffness * stretch
-    # For mean speeds a, b, and with the share s of D that acts on the output's speed:
-    # (2 Jm/h + (1 - s) D + G) a - (G - s D) b = 2 Jm/h v + T - F, and
+    # For mean speeds a, b, and with a part C of D that acts on the output's speed:
+    # (2 Jm/h + D - C + G) a - (G - C) b = 2 Jm/h v + T - F, and
     # (2 Jo/h + G) b - G a = 2 Jo/h w + load + F; their solution is a matrix of mobilities.
     motor = wp.float64(2.0) * g.motor / h
     output = wp.float64(2.0) * g.output / h
-    damping = drive.damping + half * drive.stiffness
-    motor_row = motor + (wp.float64(1.0) - drive.seen) * damping + gain
+    on_output = drive.seen_damping + drive.seen * half * drive.stiffness
+    motor_row = motor + drive.damping + half * drive.stiffness - on_output + gain
     output_row = output + gain
-    coupling = gain - drive.seen * damping
+    coupling = gain - on_output
     per = wp.float64(1.0) / (motor_row * output_row - coupling * gain)
     mobility = output_row * per
     output_mobility = motor_row * per
@@ -392,19 +393,24 @@ def train_substep(
     push.damping = kd
     push.stiffness = kp
     push.seen = g.seen
+    push.seen_damping = g.seen * kd
     dry = zero
     if (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0):
         if kp > zero:
             push = drive_push(kp, kd, error, half, v - g.seen * rate, seen_speed, tick, m, z)
-            if push.stiffness > zero:  # else what damps is the motor's back-EMF
+            if push.stiffness > zero:  # else what damps is the motor's back-EMF alone
                 push.seen = g.seen
+                push.seen_damping = g.seen * kd
+                if m.line > zero:
+                    push.seen_damping = g.seen * (kd - m.line)
             weaker = wp.float64(1.0) / resistance(push, speed, m)
             push.torque *= weaker
             push.damping *= weaker
             push.stiffness *= weaker
+            push.seen_damping *= weaker
         dry = gear_friction(speed, push.torque - push.damping * speed, weight, m)
     if kp > zero:
-        torque = push.torque - push.damping * (speed - push.seen * rate)
+        torque = push.torque - push.damping * speed + push.seen_damping * rate
         # What effects change is explicit: the drive stays implicit, and stable.
         if (others & wp.static(wp.int64(MOTOR_TORQUE_BITS))) != wp.int64(0):
             push.torque += motor_torque(torque, q, speed, torque, time, h, p, z, others) - torque
@@ -419,5 +425,6 @@ def train_substep(
     moved = train_step(wp.vec4d(state[0], v, lead, rate), push, load, dry, h, g)
     z[cell] = moved[2]
     z[cell + 1] = moved[3]
-    middle = wp.float64(0.5) * (v + moved[1] - push.seen * (rate + moved[3]))
-    return wp.vec4d(moved[0], moved[1], torque - push.damping * middle, (moved[1] - v) / h)
+    middle = wp.float64(0.5) * (v + moved[1])
+    torque -= push.damping * middle - push.seen_damping * wp.float64(0.5) * (rate + moved[3])
+    return wp.vec4d(moved[0], moved[1], torque, (moved[1] - v) / h)

@@ -193,7 +193,10 @@ def test_the_file_states_limits_integrator_and_time_step():
     [
         (Model({}), "at least one identified joint"),
         (servo(ghost={"x": 1.0}), "ghost"),
-        (servo(backlash={"width": 1.0}), "j1.backlash: found width, expected one of control_on_output, gap_rad"),
+        (
+            servo(backlash={"width": 1.0}),
+            "j1.backlash: found width, expected one of control_on_output, gap_rad",
+        ),
         (Model({"j1": replace(exported.joint(), law="magic")}), "'magic'.*pd, motor, current_lim"),
     ],
 )
