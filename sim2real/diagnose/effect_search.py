@@ -17,6 +17,7 @@ import numpy as np
 from sim2real.diagnose.baseline import plain_again
 from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
+from sim2real.diagnose.gear_trains import try_gear_trains
 from sim2real.diagnose.screening import FITTED, NUISANCES, candidate
 from sim2real.diagnose.servo_search import Job, ServoSearch, plain_sets
 from sim2real.effects import named
@@ -73,6 +74,7 @@ def search(
     rebased = problem.rebased(cases)
     if rebased:
         selection.select(problem, rebased, selection.Breadth(most=1))
+    try_gear_trains(problem, cases)
     missing = [x for x in cases if x.best.members != x.base and not problem.exhausted(x)]
     problem.try_all(_pairs_of_families(problem, missing))
     problem.singles = False
