@@ -38,7 +38,7 @@ from scipy.stats import kendalltau
 from benchmarks.harness import ROOT, command_line, spread
 from rl.experiments.episodes import FIGURES, measured, run_episodes
 from rl.experiments.named import named_controllers
-from rl.experiments.reality import RealWorld, Starts
+from rl.experiments.reality import Starts, real_world
 from rl.experiments.statistics import expected
 from rl.experiments.testbeds import Controllers, SimulationSettings
 from rl.forecast.forecast import Forecast
@@ -169,7 +169,7 @@ def swim_group(options: argparse.Namespace, g: int) -> None:
     made = [make(int((owner == k).sum())) for k, make in enumerate(controllers.values())]
     steering = Controllers(made, 1)
     steering.owner = owner
-    seen = RealWorld(Pool(world, rng), robot, task, Starts(*parts))
+    seen = real_world(Pool(world, rng), robot, task, Starts(*parts), "pool")
     episodes = run_episodes(seen, steering, name="reality")
     figures = {name: x.reshape(R, len(who)) for name, x in measured(episodes, task).items()}
     stopped = world.stopped().reshape(R, len(who))

@@ -25,7 +25,8 @@ import numpy as np
 from benchmarks.decision_curves import logistic, loss
 from benchmarks.harness import command_line, spread
 from sim.inference.law_error import FILE, IN_WATER
-from sim.inference.swim_decision import BANDS, ROWS, Decided, Terms, decide
+from sim.inference.signal_error import BANDS, ROWS
+from sim.inference.swim_decision import Decided, Terms, decide
 from sim2real.output import write_json
 
 Numbers = dict[str, float]

@@ -32,9 +32,9 @@ from sim.inference.law_error import (
     RELATIVE,
     LawError,
     read_law_error,
+    together,
 )
-from sim.inference.searched import together
-from sim.inference.swim_decision import BANDS, ROWS
+from sim.inference.signal_error import BANDS, ROWS
 from sim.inference.swim_problem import SwimProblem
 from sim.inference.swims import SwimSimulator, swim_of
 from sim2real.arrays import Array
@@ -82,7 +82,7 @@ def near(problem: SwimProblem, x: Array) -> dict[str, Array]:
     fit, weight, blocks = problem.at(x), problem.weights[0].ravel(), problem.blocks[0]
     return {
         "rows": (fit.rows / weight).astype(np.float32),
-        "slope": (fit.near.slope / weight[:, None]).astype(np.float32),
+        "slope": (fit.slope / weight[:, None]).astype(np.float32),
         "noise": blocks.noise, "power": blocks.power, "band": blocks.band,
     }  # fmt: skip
 

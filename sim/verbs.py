@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from sim2real.errors import InputError, check_choice, check_positive, check_whole
 from sim2real.verbs import model_of, recordings_of, recordings_to_fit, robot_of
@@ -16,10 +16,9 @@ if TYPE_CHECKING:
     from sim.inference.calibration import Calibration
     from sim.simulation import Simulated
     from sim2real.design.plan import Design
-    from sim2real.design.tell_apart import RivalDesign
+    from sim2real.design.tell_apart import Request, RivalDesign
     from sim2real.diagnose.result import Diagnosis
     from sim2real.model import Model
-    from sim2real.progress import Progress
     from sim2real.robot import Robot
     from sim2real.verbs import File, Recorded
 
@@ -204,11 +203,13 @@ def simulate(
     if len(read) > 1 and (plot is not None or video is not None):
         raise InputError("simulate", "recordings", str(len(read)), "one, for a picture of the flow")
     check_joints(fitted, machine)
-    options: Any = {
-        "fidelity": fidelity, "cell_m": cell_m, "device": device, "dimensions": dimensions,
-        "walls": walls, "plot": plot, "video": video,
-    }  # fmt: skip
-    swims = (simulate_recording(recording, machine, fitted, **options) for recording in read)
+    swims = (
+        simulate_recording(
+            recording, machine, fitted, fidelity=fidelity, cell_m=cell_m, device=device,
+            dimensions=dimensions, walls=walls, plot=plot, video=video,
+        )
+        for recording in read
+    )  # fmt: skip
     return Simulated(tuple(swims))
 
 
@@ -258,14 +259,15 @@ def design(
     check_whole("design", "seed", seed)
     description = robot_of(robot)
     if diagnosis is not None:
+        from sim2real.design.tell_apart import Request
+
         for name, given in (("model", model), ("inertia", inertia), ("pendulum", pendulum)):
             if given is not None:
                 both = f"--{name} with --diagnosis, which has the servos and their loads"
                 raise InputError("design", name, both, f"no --{name}")
         with progress_bar("design") as progress:
-            apart = _telling_apart(
-                diagnosis, description, contexts, seconds, again=again, seed=seed, progress=progress
-            )
+            request = Request(seconds, again, seed, diagnosis, progress)
+            apart = _telling_apart(diagnosis, description, contexts, request)
         return replace(apart, provenance=provenance([robot, diagnosis, contexts], seed))
     if contexts is not None or again:
         name = "again" if again else "contexts"
@@ -285,20 +287,12 @@ def design(
 
 
 def _telling_apart(
-    diagnosis: File,
-    robot: Robot,
-    contexts: File | None,
-    seconds: float,
-    *,
-    again: bool,
-    seed: int,
-    progress: Progress,
+    diagnosis: File, robot: Robot, contexts: File | None, request: Request
 ) -> RivalDesign:
     """The recording that tells the rivals of a diagnosis apart: of servos, or a swim."""
-    from sim2real.design.tell_apart import Request, design_for_rivals
+    from sim2real.design.tell_apart import design_for_rivals
     from sim2real.diagnose.swim_rivals import swim_rivals_of_file
 
-    request = Request(seconds, again, seed, diagnosis, progress)
     swims = swim_rivals_of_file(diagnosis)
     if swims is not None:
         from sim.inference.design_swim import design_swim

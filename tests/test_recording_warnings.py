@@ -115,14 +115,14 @@ def test_an_alias_above_half_the_sampling_rate_is_searched_again(monkeypatch):
     seen = rollout(row[None], t, sent)[0] + rng.normal(0, 1e-3, t.size)
     load = {"j1": Load(simulated.INERTIA)}
     recording = Recording("smooth", "servo", ("j1",), t, sent[:, None], seen[:, None], load)
-    module = importlib.import_module("sim2real.identification.plain_fit")
+    module = importlib.import_module("sim2real.identification.joint_fit")
     guess = module.first_guess
 
     def trapped(traces, rng, **options):
         """The first search ends near the alias, as it may; one below half the rate cannot."""
         if "fastest_rad_s" in options:
             return guess(traces, rng, **options)
-        return plain_row(60.0, 0.076, 0.06), np.empty((0, row.size))
+        return plain_row(60.0, 0.076, 0.06)[None]
 
     monkeypatch.setattr(module, "first_guess", trapped)
     joint = identify([recording], ROBOT, law="pd").joints["j1"]

@@ -29,8 +29,8 @@ from sim.inference.in_water import (
     robot_in_water,
     with_fluid_effects,
 )
-from sim.inference.law_error import FILE, IN_WATER, LawError, read_law_error
-from sim.inference.searched import learned, raw, searched
+from sim.inference.law_error import FILE, IN_WATER, LawError, learned, read_law_error
+from sim.inference.searched import raw, searched
 from sim.inference.swim_problem import SwimPrior
 from sim.inference.swims import swim_of
 from sim2real.body import values

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -26,20 +26,20 @@ from rl.sac.train import hide_progress
 from rl.task import TASKS, shortened
 from rl.world import Draws
 from sim.commands.diagnose import write_all
-from sim.inference.calibration import Calibration, calibration_section
+from sim.inference.calibration import calibration_section
 from sim.inference.swims import by_followed_twin
 from sim.view.swim_page import swims_section
 from sim.view.video import Video
-from sim2real.check import check
+from sim2real.check import Check, check
 from sim2real.commands.recordings import most_held_out
 from sim2real.diagnose.diagnose import diagnose
 from sim2real.diagnose.result import Diagnosis, percent, write_diagnosis
 from sim2real.errors import InputError
 from sim2real.identification.identify import identify
-from sim2real.model import Model, read_model, write_model
+from sim2real.model import Model, write_model
 from sim2real.output import check_writable
 from sim2real.ranges.entry import write_ranges
-from sim2real.recording import read_recording
+from sim2real.recording import Recording, read_recording
 from sim2real.report.diagnosis import diagnosis_section
 from sim2real.report.identification import identification_section
 from sim2real.report.page import Film as Shown
@@ -47,7 +47,7 @@ from sim2real.report.page import Note, Section, Table, Text, write_page
 from sim2real.report.quantity import milliradians, quantities
 from sim2real.report.ranges import ranges_section
 from sim2real.report.recordings import recordings_section
-from sim2real.robot import read_robot
+from sim2real.robot import Robot, read_robot
 from sim2real.servo.prediction import replay
 
 LONGEST = 500
@@ -62,20 +62,14 @@ def run(options: argparse.Namespace) -> int:
     """Run bench, pool and ablation; write ``index.html`` and the result files."""
     page = check_writable(options.out / "index.html")
     torch.set_num_threads(1)
-    spawn = multiprocessing.get_context("spawn")
     out = options.out / ("trained" if options.train else "ablation")
+    robot, recordings, checks = _recorded(options)
+    spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, spawn, hide_progress) as second_process:
-        stages = [demo_pool.diagnosed, demo_pool.calibrated, demo_pool.ranges_of]
-        pool = [second_process.submit(demo_pool.timed, stage, options.pool) for stage in stages]
-        work = (demo_pool.tested, options.pool, out, options.seed)
-        if not options.train:  # training has processes of its own
-            pool.append(second_process.submit(demo_pool.timed, *work))
-        try:
-            bench, model, servos = _bench(options)
-            swam, results, body = _pool(options, out, pool)
-        except BaseException:
-            second_process.shutdown(wait=False, cancel_futures=True)
-            raise
+        work = (options.pool, out, options.seed, not options.train)
+        pool = second_process.submit(demo_pool.stages, *work)
+        bench, model, servos = _bench(options, robot, recordings, checks)
+        swam, results, body = _pool(options, out, pool.result())
     table = sections(results, demo_pool.QUICK)
     ablation = Section("A quick ablation", table[0].lead, [
         _note(options), *(block for one in table[:-1] for block in one.blocks),
@@ -84,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     with _stage("report", str(page)):
         write_page(
             page,
-            read_robot(options.data / "robot.toml").name,
+            robot.name,
             f"{len(model.joints)} servos identified, a body calibrated, techniques compared",
             [_summary(model, servos, body, ablation.lead, film), *bench, *swam, ablation],
             model.provenance,
@@ -94,8 +88,8 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _bench(options: argparse.Namespace) -> tuple[list[Section], Model, Diagnosis]:
-    """Servos on a bench: recordings, identification, diagnosis."""
+def _recorded(options: argparse.Namespace) -> tuple[Robot, list[Recording], list[Check]]:
+    """The robot on the bench, its recordings and their checks."""
     paths = sorted(options.data.glob("*.csv"), reverse=True)  # the chirp last: it is held out
     if not paths:
         raise InputError(options.data, "", "no recordings", "NAME.csv files, each with NAME.json")
@@ -103,7 +97,13 @@ def _bench(options: argparse.Namespace) -> tuple[list[Section], Model, Diagnosis
     with _stage("read", f"{len(paths)} recordings of {options.data}"):
         recordings = [read_recording(path) for path in paths]
     with _stage("check", "clocks, noise, motion"):
-        checks = [check(recording, robot) for recording in recordings]
+        return robot, recordings, [check(recording, robot) for recording in recordings]
+
+
+def _bench(
+    options: argparse.Namespace, robot: Robot, recordings: list[Recording], checks: list[Check]
+) -> tuple[list[Section], Model, Diagnosis]:
+    """Servos on a bench: identification, diagnosis and their sections."""
     with _stage("identify", "gains and latency of each servo"):
         model = identify(recordings, robot, seed=options.seed)
     with _stage("diagnose", "physics missing from the servo model"):
@@ -121,39 +121,40 @@ def _bench(options: argparse.Namespace) -> tuple[list[Section], Model, Diagnosis
 
 
 def _pool(
-    options: argparse.Namespace, out: Path, pool: Sequence[Future[tuple[Any, float]]]
+    options: argparse.Namespace, out: Path, found: demo_pool.Pool
 ) -> tuple[list[Section], dict[str, Any], Diagnosis]:
     """A robot in a pool: its sections, the result of the ablation, the diagnosis of the swim."""
-    folder, stages = options.pool, iter(pool)
-    robot, swim = demo_pool.robot_in(folder), demo_pool.swim_in(folder)
-    what = f"physics missing from the body model, on {swim.name}"
-    missing = _received(next(stages), "diagnose", what)
+    missing, calibration, ranges = found.diagnosis, found.calibration, found.gathered.ranges
+    plan, results = demo_pool.QUICK, found.results
+    titles = {
+        "diagnose": f"physics missing from the body model, on {demo_pool.SWIM}",
+        "calibrate": "the body in the twin, with the effects found",
+        "ranges": "randomization ranges",
+        **({"ablate": "4 arms, trained beforehand, in the twin"} if results else {}),
+    }
+    for (name, title), seconds in zip(titles.items(), found.seconds, strict=False):
+        print(f"{name:10}{title} ({seconds:.1f} s)", flush=True)
     write_model(missing.model, options.out / "swim.enriched.json")
     write_diagnosis(missing, options.out / "swim.json", "swim.enriched.json")
-    what = "the body in the twin, with the effects found"
-    fitted = _received(next(stages), "calibrate", what)
-    gathered = _received(next(stages), "ranges", "randomization ranges")
-    write_model(fitted.model, options.out / "calibrated.json")
-    write_ranges(gathered.ranges, options.out / "ranges.json")
-    if options.train:
-        title = f"{demo_pool.QUICK.steps} steps of each of {demo_pool.SEEDS} seeds of 4 arms"
-        with _stage("ablate", f"{title}, in the twin"):
-            results = demo_pool.ablated(
-                folder, out, options.seed, fitted.model, gathered.ranges, pretrained=False
-            )
-    else:
-        title = "4 arms, trained beforehand, in the twin"
-        results = _received(next(stages), "ablate", title)
-    write_report(results, demo_pool.QUICK, out, fitted.model.provenance)
+    write_model(calibration.model, options.out / "calibrated.json")
+    write_ranges(ranges, options.out / "ranges.json")
+    if not results:
+        seeds = demo_pool.SEEDS
+        with _stage(
+            "ablate", f"{plan.steps} steps of each of {seeds} seeds of 4 arms, in the twin"
+        ):
+            work = options.pool, out, options.seed, calibration.model, ranges
+            results = demo_pool.ablated(*work, pretrained=False)
+    write_report(results, plan, out, calibration.model.provenance)
     print(markdown(results))
-    swims = swims_section(missing, [swim], by_followed_twin(robot), robot)
-    servos = read_model(folder / "model.json")
+    robot = calibration.robot
+    swims = swims_section(missing, calibration.swims, by_followed_twin(robot), robot)
     made = [
         replace(swims, title="Diagnosis of the swim"),
-        calibration_section(Calibration(fitted.model, servos, robot, (swim,), fitted)),
-        ranges_section(gathered),
+        calibration_section(calibration),
+        ranges_section(found.gathered),
     ]
-    return made, results, replace(missing, model=fitted.model)
+    return made, results, replace(missing, model=calibration.model)
 
 
 def _note(options: argparse.Namespace) -> Note:
@@ -248,11 +249,3 @@ def _stage(name: str, title: str) -> Iterator[None]:
     start = time.perf_counter()
     yield
     print(f"({time.perf_counter() - start:.1f} s)", flush=True)
-
-
-def _received(stage: Future[tuple[Any, float]], name: str, title: str) -> Any:  # noqa: ANN401
-    """Wait for a stage of the second process, print its duration and return its result."""
-    print(f"{name:10}{title}", end=" ", flush=True)
-    value, seconds = stage.result()
-    print(f"({seconds:.1f} s)", flush=True)
-    return value

@@ -7,9 +7,7 @@ parameters take values that fit its recording and no other motion.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import replace
-from functools import cache
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +15,10 @@ from rl.commands.ablate import make_testbeds
 from rl.experiments.ablation import PAPER, ablate, arm_of, read_pretrained
 from rl.sac.plan import plan_of
 from rl.sac.train import train_in_parts
-from sim.inference.calibration import Calibrated, calibrate
+from sim.inference.calibration import Calibration, calibrate
+from sim.inference.coordinates import twin_parameters
 from sim.inference.diagnose_swims import diagnose_swims
-from sim.inference.swim_parameters import twin_parameters
-from sim.inference.swims import Swim, by_followed_twin, by_twin, swim_of
+from sim.inference.swims import by_followed_twin, by_twin, swim_of
 from sim2real.diagnose.result import Diagnosis
 from sim2real.errors import InputError
 from sim2real.model import Model, read_model
@@ -38,47 +36,42 @@ PRETRAINED = Path("agents") / "ablation"
 """Folder of the pretrained agents of the ablation, relative to that of the pool."""
 
 
-def timed(stage: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:  # noqa: ANN401
-    """The result of a stage, and how long it took in s."""
-    start = time.perf_counter()
-    return stage(*arguments), time.perf_counter() - start
+@dataclass(frozen=True)
+class Pool:
+    """What the stages found."""
+
+    diagnosis: Diagnosis  # what the model of the body leaves out of the swim
+    calibration: Calibration  # the body in the twin, fitted to the swim, with the effects found
+    gathered: Gathered  # randomization ranges for the calibrated model
+    results: dict[str, Any]  # of the ablation of the pretrained agents; empty if not tested
+    seconds: tuple[float, ...]  # how long each stage took
+
+
+def stages(folder: Path, out: Path, seed: int, tested: bool) -> Pool:
+    """Diagnose, calibrate and derive ranges, and if ``tested`` evaluate the pretrained agents."""
+    times = [time.perf_counter()]
+    robot, servos = robot_in(folder), read_model(folder / "model.json")
+    recording = read_recording(folder / f"{SWIM}.csv")
+    swim = swim_of(recording, robot)
+    missing = diagnose_swims([swim], servos, robot, by_followed_twin(robot))
+    times.append(time.perf_counter())
+    free = twin_parameters(missing.model, robot)
+    fitted = calibrate([swim], missing.model, free, by_twin(robot))
+    times.append(time.perf_counter())
+    gathered = gather([recording], robot, fitted.model)
+    times.append(time.perf_counter())
+    results = {}
+    if tested:
+        results = ablated(folder, out, seed, fitted.model, gathered.ranges, pretrained=True)
+    times.append(time.perf_counter())
+    seconds = tuple(b - a for a, b in zip(times, times[1:], strict=False))
+    calibration = Calibration(fitted.model, servos, robot, (swim,), fitted)
+    return Pool(missing, calibration, gathered, results, seconds)
 
 
 def robot_in(folder: Path) -> Robot:
     """The robot of a pool."""
     return read_robot(folder / "robot.toml")
-
-
-def swim_in(folder: Path) -> Swim:
-    """The swim of a pool."""
-    return swim_of(read_recording(folder / f"{SWIM}.csv"), robot_in(folder))
-
-
-@cache
-def diagnosed(folder: Path) -> Diagnosis:
-    """What the model of the body leaves out of the swim."""
-    robot, model = robot_in(folder), read_model(folder / "model.json")
-    return diagnose_swims([swim_in(folder)], model, robot, by_followed_twin(robot))
-
-
-@cache
-def calibrated(folder: Path) -> Calibrated:
-    """The body in the twin, fitted to the swim, with the effects found."""
-    robot, model = robot_in(folder), diagnosed(folder).model
-    return calibrate([swim_in(folder)], model, twin_parameters(model, robot), by_twin(robot))
-
-
-@cache
-def ranges_of(folder: Path) -> Gathered:
-    """Randomization ranges for the calibrated model."""
-    recording = read_recording(folder / f"{SWIM}.csv")
-    return gather([recording], robot_in(folder), calibrated(folder).model)
-
-
-def tested(folder: Path, out: Path, seed: int) -> dict[str, Any]:
-    """The ablation of the pretrained agents, after the stages above."""
-    model, ranges = calibrated(folder).model, ranges_of(folder).ranges
-    return ablated(folder, out, seed, model, ranges, pretrained=True)
 
 
 def ablated(

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from rl.controllers import Controller
 from rl.experiments.episodes import Episodes, run_episodes, summary
 from rl.experiments.film import Film
 from rl.experiments.named import controller_of, shown, with_price
-from rl.experiments.testbeds import UNSEEN, SimulationSettings, run_trials
+from rl.experiments.testbeds import UNSEEN, DrawnTrials, SimulationSettings
 from rl.make import draws_of, make_world, own_stream
 from rl.sac.plan import RECIPES
 from rl.task import TASKS
@@ -42,15 +42,10 @@ def run(options: argparse.Namespace) -> int:
     task = replace(TASKS[options.task], energy=weight)
     names = list(dict.fromkeys(options.policies))
     limits = [joint.limits_rad for joint in robot.joints]
-
-    def controllers(n: int) -> dict[str, Controller]:
-        return {name: controller_of(name, limits, n, gains=options.gains) for name in names}
-
+    makers = {name: partial(controller_of, name, limits, gains=options.gains) for name in names}
     settings = SimulationSettings(options.fidelity, options.device, options.threads, options.cell_m)
-    swims = run_trials(
-        robot, model, ranges, task, controllers(options.episodes),
-        episodes=options.episodes, seed=options.seed, settings=settings,
-    )  # fmt: skip
+    trials = DrawnTrials(robot, model, ranges, options.episodes, settings)
+    swims = trials.run(task, makers, options.seed)
     table = {name: summary(episodes, task) for name, episodes in swims.items()}
     content: dict[str, Any] = {"task": options.task, "fidelity": options.fidelity}
     options.result = {**content, "results": table}
@@ -67,13 +62,13 @@ def run(options: argparse.Namespace) -> int:
     if options.video is not None:
         draws = draws_of(model, ranges, robot, seed=options.seed + UNSEEN, n=1)
         with Video(options.video) as video:
-            for name, controller in controllers(1).items():
+            for name, make in makers.items():
                 with own_stream(options.device):
                     world = make_world(
                         robot, task, draws, n_envs=1, seed=options.seed, **settings.world
                     )
                     with Film(video, world, shown(name)) as film:
-                        run_episodes(world, controller, name=name, watch=film)
+                        run_episodes(world, make(1), name=name, watch=film)
     return 0
 
 

@@ -10,7 +10,13 @@ import numpy as np
 import torch
 
 from rl.controllers import discrete_cpg
-from rl.experiments.testbeds import HELD_OUT, SimulationSettings, choose_prices, held_out
+from rl.experiments.testbeds import (
+    HELD_OUT,
+    DrawnTrials,
+    SimulationSettings,
+    choose_prices,
+    held_out,
+)
 from rl.sac import train as sac
 from rl.sac.checkpoint import draw_curves, read_progress
 from rl.sac.plan import OPTIONS, RECIPES
@@ -52,13 +58,13 @@ def run(options: argparse.Namespace) -> int:
 
 def select(options: argparse.Namespace, folders: list[Path]) -> None:
     """Choose each agent's price and then the best agent by held-out trials: ``trials.json``."""
-    fish, model = read_robot(options.robot), read_model(options.model)
     ranges = None if options.ranges is None else read_ranges(options.ranges)
     settings = SimulationSettings(options.fidelity, options.device, options.threads, options.cell_m)
-    call: dict[str, Any] = {"episodes": options.trials, "settings": settings}
-    prices = choose_prices(folders, fish, model, ranges, **call)
+    files = read_robot(options.robot), read_model(options.model), ranges
+    swims = DrawnTrials(*files, options.trials, settings)
+    prices = choose_prices(swims, folders)
     energy = options.energy_weight or RECIPES[options.recipe or "default"].task.energy
-    trials = held_out(folders, fish, model, ranges, energy=energy, **call)
+    trials = held_out(swims, folders, energy)
     write_json(options.out / "trials.json", {**trials, "prices": prices})
     for agent, rows in trials["agents"].items():
         summary = ", ".join(

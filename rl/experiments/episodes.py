@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -15,9 +15,6 @@ from rl.controllers import Controller
 from rl.task import CONTROL_S, Task
 from rl.world import World
 from sim2real.arrays import Array, Mask
-
-if TYPE_CHECKING:
-    from rl.experiments.reality import RealWorld
 
 
 class Measure(NamedTuple):
@@ -85,13 +82,16 @@ class Episodes:
 
 
 def run_episodes(
-    world: World | RealWorld,
+    world: World,
     controller: Controller,
     *,
     name: str = "swim",
     watch: Callable[[Mask], None] = lambda going: None,
 ) -> Episodes:
-    """Run one episode of every robot; ``watch`` is called with those that took part, (E,)."""
+    """Run one episode of every robot; ``watch`` is called with those that took part, (E,).
+
+    A robot whose episode is over is commanded to straight joints.
+    """
     E = world.n_envs
     observation = world.reset()
     targets = world.targets.cpu().double().numpy()
@@ -101,7 +101,7 @@ def run_episodes(
     reached, steps = np.zeros((2, E), dtype=np.int64)
     watch(going)
     for _ in tqdm(range(world.task.steps), desc=name, unit="step", disable=None, leave=False):
-        action = controller.act(observation.cpu().numpy())
+        action = np.where(going[:, None], controller.act(observation.cpu().numpy()), 0.0)
         step = world.step(torch.as_tensor(action, device=world.device), begin=False)
         observation = step.observation
         value.append(np.where(going, _copied(step.reward), np.nan))

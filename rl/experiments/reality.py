@@ -24,23 +24,23 @@ import hashlib
 import inspect
 import runpy
 import sys
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from rl.deploy.link import SILENCE_S, Telemetry
-from rl.deploy.pilot import Measurements
-from rl.observer import observation_bounds
-from rl.task import CONTROL_S, Task, bonus, effort, reward
-from rl.world import Step
-from sim2real.arrays import Array, Index
+from rl.deploy.link import SILENCE_S
+from rl.task import CONTROL_S, Task
+from rl.world import Draws, World
+from sim.robot.live import Live
+from sim2real.arrays import Array, Index, Mask
 from sim2real.errors import InputError
+from sim2real.model import Model
 from sim2real.robot import Robot
+from sim2real.velocity import NEWEST, slope_weights
 
 
 class Starts(NamedTuple):
@@ -120,100 +120,74 @@ def _run(path: Path) -> tuple[dict[str, Any], list[Path]]:
     return content, [path, *(path.parent / files[name].name for name in own)]
 
 
-class RealWorld:
-    """The robots of a reality at a task, as ``rl.world.World`` has those of a simulator.
+class MeasuredRobots:
+    """The robots of a reality as a simulator of n robots; the state is what was last measured.
 
-    Observations, rewards and ends are computed from measurements; an episode also ends if a robot
-    or joint is not measured for ``SILENCE_S``.
+    One that is not measured for ``SILENCE_S`` counts as stopped.
     """
 
-    device = torch.device("cpu")
-
-    def __init__(
-        self,
-        reality: Any,  # noqa: ANN401 - with the methods above
-        robot: Robot,
-        task: Task,
-        starts: Starts,
-        name: str = "reality",
-    ) -> None:
+    def __init__(self, reality: Any, robot: Robot, n: int, name: str) -> None:  # noqa: ANN401
         """Take over the robots of a reality; ``name`` is its name in errors."""
-        self.n_envs, J = starts.joint.shape
-        self.task, self.targets = task, torch.as_tensor(starts.targets)
-        self._reality, self._starts, self._name = reality, starts, name
-        self._limits = np.array([joint.limits_rad for joint in robot.joints]).T
-        self._bound = np.array(observation_bounds(J), dtype=np.float32)
+        J = len(robot.joints)
+        self.robot, self.n_envs, self.current = robot, n, np.zeros((n, 2))
+        self._reality, self._name, self._periods = reality, name, -1  # not placed yet
+        self._command, self._joint = np.zeros((2, n, J))
+        self._q, self._v = np.zeros((2, n, 3 + J))
+        self._clock, self._stopped = np.zeros(n), np.full(n, -1, dtype=np.int32)
+        self._past = np.zeros((NEWEST, n, J))
 
-    def reset(self) -> Tensor:
-        """Start all episodes, with all robots measured; the first observations, shape (n, O)."""
-        n = self.n_envs
-        self._observers = [Measurements(self._bound) for _ in range(n)]
-        self._going, self._periods = np.ones(n, dtype=bool), 0
-        self._reached = np.zeros(n, dtype=np.int64)
-        self._observation = np.zeros((n, len(self._bound)), dtype=np.float32)
-        self._look(self._reality.reset(self._starts.pose, self._starts.joint))
-        return torch.from_numpy(self._observation)
+    def live(self) -> Live:
+        """As of ``sim.robot.live.Robots``, in memory of the CPU."""
+        arrays = self._command, self._q, self._v, self._joint, self._clock, self._stopped
+        return Live(*map(torch.from_numpy, arrays))
 
-    def step(self, action: Tensor, *, begin: bool = False) -> Step:
-        """Command angles (n, J) for a control period; no episode is started where one ended."""
-        assert not begin, "a reality has one episode of each robot"
-        before = self._distance()
-        desired = np.clip(action.numpy(), *self._limits)
-        desired[~self._going] = np.clip(0.0, *self._limits)
-        self._look(self._reality.step(desired))
-        distance = self._distance()
-        reached = distance < self.task.arrive_m
-        outside = (
-            self.pose[:, :2].abs() > torch.tensor(self.task.domain_m, dtype=torch.float64) / 2
-        ).any(dim=1)
-        used, ending = effort(self.rate), bonus(self.task, reached, outside)
-        value = reward(self.task, before, distance, self.rate, reached, outside)
-        self._reached += reached.numpy() & self._going
-        arrived = self._reached >= self.targets.shape[1]
-        for e in np.flatnonzero(reached.numpy() & self._going & ~arrived).tolist():
-            self._observe(e)
-        blind = np.array([observer.blind_s > SILENCE_S for observer in self._observers])
-        ended = torch.as_tensor(arrived) | outside
-        self._going = self._going & ~(ended.numpy() | blind)
-        seen, count = torch.from_numpy(self._observation), torch.from_numpy(self._reached.copy())
-        return Step(seen, value, used, ending, ended, torch.as_tensor(blind), count, seen)
+    def adopt(self, which: Index, models: Sequence[Model]) -> None:
+        """Nothing: these robots are as they are."""
+
+    def reset(
+        self, mask: Mask | None = None, pose: Array | None = None, joint: Array | None = None
+    ) -> None:
+        """Place all robots at rest, unless they have been placed and not moved since."""
+        if self._periods != 0:
+            self._periods, self._unseen = 0, np.zeros_like(self._q)
+            self._q[:], self._stopped[:] = np.nan, -1
+            self._look(self._reality.reset(pose, joint))
+            if blind := np.flatnonzero(~np.isfinite(self._q).all(axis=1)).tolist():
+                problem = f"robot {blind[0]} not measured at its start"
+                raise InputError(self._name, "reset", problem, "a pose and all angles")
+
+    def advance(self) -> None:
+        """Command the set-points for a control period, and measure."""
+        self._periods += 1
+        self._look(self._reality.step(self._command.copy()))
 
     def _look(self, measured: tuple[Array, Array]) -> None:
-        """Process what the reality measured of the robots whose episodes go on."""
-        pose, joint = self._checked(measured)
-        t = CONTROL_S * self._periods
-        self._periods += 1
-        for e in np.flatnonzero(self._going).tolist():
-            self._observers[e].take(Telemetry(t, pose[e], joint[e]))
-            if not np.isfinite(self._observers[e].blind_s):
-                problem = f"robot {e} not measured at its start"
-                raise InputError(self._name, "reset", problem, "a pose and all angles")
-            self._observe(e)
-        self.pose, self.rate = torch.as_tensor(pose), torch.as_tensor(self._rates(joint.shape))
-
-    def _observe(self, e: int) -> None:
-        target = self._starts.targets[e, min(self._reached[e], self.targets.shape[1] - 1)]
-        self._observation[e] = self._observers[e].observation(target)
-
-    def _distance(self) -> Tensor:
-        """From each head to its target in m, shape (n,)."""
-        return torch.as_tensor(np.hypot(*self._observation[:, -2:].T.astype(np.float64)))
-
-    def _rates(self, shape: tuple[int, ...]) -> Array:
-        """Joint rates in rad/s: true values if the reality has them, else estimates."""
-        true_rate = getattr(self._reality, "rate", None)
-        if not callable(true_rate):
-            return self._observation[:, 3 + shape[1] : -2].astype(np.float64)
-        return np.nan_to_num(np.asarray(true_rate(), dtype=np.float64)).reshape(shape)
-
-    def _checked(self, measured: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Measured poses and joint angles as arrays of their own."""
+        """Take what was measured; what was not is as before."""
         try:
             pose, joint = (np.array(x, dtype=np.float64) for x in measured)
         except (TypeError, ValueError) as error:
             raise InputError(self._name, "seen", str(error), "poses and joint angles") from None
-        expected = ((self.n_envs, 3), (self.n_envs, (len(self._bound) - 5) // 2))
+        expected = ((self.n_envs, 3), self._command.shape)
         if (pose.shape, joint.shape) != expected:
             problem = f"arrays of shapes {pose.shape} and {joint.shape}"
             raise InputError(self._name, "seen", problem, f"{expected[0]} and {expected[1]}")
-        return pose, joint
+        turns = (self._q[:, 2] - pose[:, 2]) / (2 * np.pi)
+        pose[:, 2] += 2 * np.pi * np.round(np.nan_to_num(turns))
+        seen = np.concatenate([pose, joint], axis=1)
+        known = np.isfinite(seen)
+        self._q[known], self._joint[:] = seen[known], self._q[:, 3:]
+        self._unseen = np.where(known, 0, self._unseen + 1)
+        self._stopped[(CONTROL_S * self._unseen > SILENCE_S).any(axis=1)] = 0
+        kept = self._past[1:] if self._periods else np.broadcast_to(joint, self._past[1:].shape)
+        self._past = np.concatenate([kept, self._q[None, :, 3:]])
+        rate = np.tensordot(slope_weights(), self._past, 1)
+        if callable(true_rate := getattr(self._reality, "rate", None)):
+            rate = np.nan_to_num(np.asarray(true_rate(), dtype=np.float64)).reshape(rate.shape)
+        self._v[:, 3:] = rate
+
+
+def real_world(reality: Any, robot: Robot, task: Task, starts: Starts, name: str) -> World:  # noqa: ANN401
+    """The robots of a reality at a task, with these starts; ``name`` is its name in errors."""
+    robots = MeasuredRobots(reality, robot, len(starts.pose), name)
+    placed = replace(task, place=lambda *_: starts, waypoints=starts.targets.shape[1])
+    return World(robots, placed, [Draws((Model({}),))], seed=0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +15,7 @@ from rl.deploy.export import policy_of, set_price
 from rl.deploy.policy import PolicyController
 from rl.experiments.episodes import Episodes, run_episodes, summary
 from rl.experiments.named import controller_of
-from rl.experiments.reality import RealityFile, RealWorld, Starts
+from rl.experiments.reality import RealityFile, Starts, real_world
 from rl.make import Fidelity, digest, draws_of, make_world, own_stream
 from rl.sac.sac import read_agent
 from rl.sac.train import digest_of
@@ -46,6 +47,8 @@ class SimulationSettings:
 
 
 IN_TWIN = SimulationSettings()
+Maker = Callable[[int], Controller]
+"""A function of the number of robots to their controller."""
 
 
 class Controllers:
@@ -101,24 +104,41 @@ def simulate(
         return run_episodes(world, controller, name=name)
 
 
-def run_trials(
-    robot: Robot,
-    model: Model,
-    ranges: Ranges | None,
-    task: Task,
-    controllers: Mapping[str, Controller],
-    *,
-    episodes: int = 50,
-    seed: int = 0,
-    settings: SimulationSettings = IN_TWIN,
-) -> dict[str, Episodes]:
-    """Run the same starts, targets and robots, of the ranges if any, with every controller."""
-    drawn = draws_of(model, ranges, robot, seed=seed + UNSEEN, n=episodes)
-    draws = [Draws((m,), drawn.noise) for m in drawn.models] * len(controllers)
-    starts = same_starts(task, len(controllers), episodes, seed, len(robot.joints))
-    steering = Controllers(list(controllers.values()), episodes)
-    swims = simulate(robot, task, starts, draws, steering, settings, seed=seed, name=task.name)
-    return {name: swims.of(steering.owner == k) for k, name in enumerate(controllers)}
+@dataclass(frozen=True)
+class DrawnTrials:
+    """Trials of controllers: the same starts, targets and robots, of ranges if any, for each."""
+
+    robot: Robot
+    model: Model
+    ranges: Ranges | None = None
+    episodes: int = 20  # of each controller
+    settings: SimulationSettings = IN_TWIN
+
+    def run(self, task: Task, makers: Mapping[str, Maker], seed: int = 0) -> dict[str, Episodes]:
+        """The episodes of each controller, by its name."""
+        n, J = self.episodes, len(self.robot.joints)
+        drawn = draws_of(self.model, self.ranges, self.robot, seed=seed + UNSEEN, n=n)
+        draws = [Draws((m,), drawn.noise) for m in drawn.models] * len(makers)
+        steering = Controllers([make(n) for make in makers.values()], n)
+        swims = simulate(
+            self.robot, task, same_starts(task, len(makers), n, seed, J), draws, steering,
+            self.settings, seed=seed, name=task.name,
+        )  # fmt: skip
+        return {name: swims.of(steering.owner == k) for k, name in enumerate(makers)}
+
+    def summaries(
+        self, tasks: Sequence[Task], makers: Mapping[str, Maker], seed: int
+    ) -> dict[str, dict[str, Any]]:
+        """The summary of each task, by controller and task."""
+        rows: dict[str, dict[str, Any]] = {name: {} for name in makers}
+        for task in tasks:
+            for name, episodes in self.run(task, makers, seed).items():
+                rows[name][task.name] = summary(episodes, task)
+        return rows
+
+    def maker(self, name: str) -> Maker:
+        """A maker of the controller of a policy file or a name, see ``controller_of``."""
+        return partial(controller_of, name, [joint.limits_rad for joint in self.robot.joints])
 
 
 class Testbed(NamedTuple):
@@ -156,7 +176,7 @@ def real(file: RealityFile, device: str = "cpu") -> Testbed:
         reality = file(robot, n, seed, device)
         parts = []
         for rows in np.arange(total).reshape(-1, n):
-            world = RealWorld(reality, robot, task, starts.of(rows), str(file.files[0]))
+            world = real_world(reality, robot, task, starts.of(rows), str(file.files[0]))
             parts.append(run_episodes(world, who.of(rows), name="reality"))
         return _joined(parts)
 
@@ -194,85 +214,53 @@ SEED = 77_000
 PRICE_SEED = 78_000
 
 
-def held_out(
-    folders: Sequence[Path],
-    robot: Robot,
-    model: Model,
-    ranges: Ranges | None,
-    *,
-    energy: float,
-    episodes: int = 20,
-    settings: SimulationSettings = IN_TWIN,
-) -> dict[str, Any]:
+def held_out(trials: DrawnTrials, folders: Sequence[Path], energy: float) -> dict[str, Any]:
     """Test agents, with their mean actions, in the same randomized trials at one weight of energy.
 
     Returns in training are no substitute: there actions are sampled and the energy weight grows.
     The result: ``best``, the folder name of the agent with the highest score, and by name ``score``
     and the summary of each task.
     """
-    limits = [joint.limits_rad for joint in robot.joints]
-    agents: dict[str, Any] = {folder.name: {} for folder in folders}
-    controllers = {
-        folder.name: controller_of(str(folder / "policy.zip"), limits, episodes)
-        for folder in folders
-    }
-    for name in HELD_OUT:
-        task = replace(TASKS[name], energy=energy)
-        swims = run_trials(
-            robot, model, ranges, task, controllers, episodes=episodes, seed=SEED, settings=settings
-        )
-        for agent, episodes_of in swims.items():
-            agents[agent][name] = summary(episodes_of, task)
+    makers = {folder.name: trials.maker(str(folder / "policy.zip")) for folder in folders}
+    tasks = [replace(TASKS[name], energy=energy) for name in HELD_OUT]
+    agents = trials.summaries(tasks, makers, SEED)
     for rows in agents.values():
         rows["score"] = float(np.mean([rows[name]["reward"] for name in HELD_OUT]))
     best = max(agents, key=lambda agent: agents[agent]["score"])
-    return {"best": best, "energy_weight": energy, "episodes": episodes, "agents": agents}
+    return {"best": best, "energy_weight": energy, "episodes": trials.episodes, "agents": agents}
 
 
-def choose_prices(
-    folders: Sequence[Path],
-    robot: Robot,
-    model: Model,
-    ranges: Ranges | None,
-    *,
-    episodes: int = 20,
-    settings: SimulationSettings = IN_TWIN,
-) -> dict[str, float]:
+def choose_prices(trials: DrawnTrials, folders: Sequence[Path]) -> dict[str, float]:
     """Set each agent's price of energy to the best one relative to proportional navigation.
 
     The chosen one minimises the larger of the ratios of time and energy to those of proportional
     navigation at middle pace, over all tasks tested. The agents' ``policy.zip`` are rewritten. The
     result: the price, relative to the training's, by name of the folder.
     """
-    agents: dict[Path, Any] = {folder: read_agent(folder / "policy.zip") for folder in folders}
-    priced = {
+    read: dict[Path, Any] = {folder: read_agent(folder / "policy.zip") for folder in folders}
+    agents = {
         folder: agent
-        for folder, agent in agents.items()
+        for folder, agent in read.items()
         if getattr(agent, "by_price", {}).get("column") is not None
     }
-    policies: dict[str, Any] = {}
-    for k, agent in enumerate(priced.values()):
+    makers: dict[str, Maker] = {"pnl": trials.maker("pnl")}
+    for folder, agent in agents.items():
         for exponent in EXPONENTS:
             set_price(agent, agent.by_price["prices"] ** exponent)
-            policies[f"{k}@{exponent}"] = policy_of(agent)
-    limits = [joint.limits_rad for joint in robot.joints]
-    worst = np.zeros((len(priced), len(EXPONENTS)))
-    for name in PRICED if priced else ():
-        controllers: dict[str, Controller] = {
-            key: PolicyController(policy) for key, policy in policies.items()
-        }
-        controllers["pnl"] = controller_of("pnl", limits, episodes)
-        swims = run_trials(
-            robot, model, ranges, TASKS[name], controllers, episodes=episodes, seed=PRICE_SEED,
-            settings=settings,
-        )  # fmt: skip
-        rows = {key: summary(one, TASKS[name]) for key, one in swims.items()}
-        for spent in ("time_s", "energy"):
-            ratio = [rows[key][spent] / max(rows["pnl"][spent], 1e-9) for key in policies]
-            worst = np.maximum(worst, np.reshape(ratio, worst.shape))
+            steered: Controller = PolicyController(policy_of(agent))
+            makers[f"{folder}@{exponent}"] = lambda _, steered=steered: steered  # type: ignore[misc]
+    rows = trials.summaries([TASKS[name] for name in PRICED] if agents else [], makers, PRICE_SEED)
     chosen = {}
-    for (folder, agent), row in zip(priced.items(), worst, strict=True):
-        chosen[folder.name] = float(agent.by_price["prices"] ** EXPONENTS[int(np.argmin(row))])
+    for folder, agent in agents.items():
+        worst = [
+            max(
+                rows[f"{folder}@{exponent}"][task][spent] / max(rows["pnl"][task][spent], 1e-9)
+                for task in PRICED
+                for spent in ("time_s", "energy")
+            )
+            for exponent in EXPONENTS
+        ]
+        chosen[folder.name] = float(agent.by_price["prices"] ** EXPONENTS[int(np.argmin(worst))])
         set_price(agent, chosen[folder.name])
         agent.save(folder / "policy.zip")
     return chosen

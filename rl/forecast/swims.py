@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,10 +15,9 @@ import torch
 from scipy.signal import lfilter
 from torch.utils.dlpack import from_dlpack
 
-from rl.controllers import Controller
 from rl.experiments.episodes import FIGURES, Episodes, measured
 from rl.experiments.reality import Starts
-from rl.experiments.testbeds import SimulationSettings, simulate
+from rl.experiments.testbeds import Maker, SimulationSettings, simulate
 from rl.forecast.realities import Realities
 from rl.make import digest
 from rl.task import CONTROL_S, Task
@@ -31,9 +30,6 @@ from sim2real.output import write_whole
 from sim2real.progress import Progress
 from sim2real.robot import Robot
 from sim2real.structured import read_arrays
-
-Maker = Callable[[int], Controller]
-"""A function of the number of robots to their controller."""
 
 
 @dataclass(frozen=True)

@@ -11,19 +11,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.stats import norm
 
-from sim.inference.coordinates import Coordinates, signals_at
-from sim.inference.emulator import emulator
-from sim.inference.swim_parameters import (
+from sim.inference.coordinates import (
+    Coordinates,
     effect_parameters,
     servo_parameters,
+    signals_at,
     twin_parameters,
     water_parameters,
 )
+from sim.inference.emulator import emulator
 from sim.inference.swim_problem import SwimPrior, SwimProblem
 from sim.inference.swims import (
     FLUID_THREADS,
@@ -34,6 +35,7 @@ from sim.inference.swims import (
     by_fluid,
     by_twin,
     names_in_files,
+    of_swims,
     simulated,
     units_of,
     with_values,
@@ -42,7 +44,8 @@ from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
 from sim2real.inference.correlated_noise import correlation_samples, long_run
-from sim2real.inference.parameters import Parameter, column
+from sim2real.inference.parameters import Parameter
+from sim2real.inference.selection import Members
 from sim2real.model import Model
 from sim2real.report.notebook import result_section
 from sim2real.report.page import Block, Note, Section, Table, Text
@@ -109,12 +112,10 @@ def calibrate(
 ) -> Calibrated:
     """Fit ``free`` parameters to swims in the twin; the last share ``held_out`` is scored."""
     parts = [swim.first(1 - held_out) for swim in swims]
-    found = _fit(
-        parts, model, free, lambda models, swim: simulator(models, swim.command, swim.start)
-    )
-    start = with_values(model, {p.name: p.nominal for p in free})
-    train, held, noise = _errors(swims, [start, found[0]], simulator, held_out)
-    return Calibrated(found[0], tuple(free), *found[1:], held, train, 0 * noise)
+    result, best, covariance = _fit(parts, model, free, of_swims(simulator))
+    before = with_values(model, {p.name: p.nominal for p in free})
+    train, held = _errors(swims, [before, result], simulator, held_out)
+    return Calibrated(result, tuple(free), best, covariance, held, train, np.zeros(held.shape[1]))
 
 
 def calibrate_in_fluid(
@@ -150,9 +151,10 @@ def calibrate_in_fluid(
     if coarser is not None:
         with suppress(InputError):
             grid = np.abs(fitted(coarser, result, seed)[1] - best)
-    train, held, noise = _errors(swims, [model, result], fluid, held_out)
+    train, held = _errors(swims, [model, result], fluid, held_out)
     if not np.isfinite(held).all():
         raise InputError("calibrate", "fluid", "the robot is stopped", "finer cells, more rollouts")
+    noise = np.sqrt(np.mean([swim.noise_sd**2 for swim in swims], axis=0))
     return Calibrated(result, tuple(free), best, covariance, held, train, noise, grid)
 
 
@@ -170,44 +172,42 @@ def _fit(
     The error is the residual or, with ``share``, that share of the signal in a block, with noise; a
     signal counts as one sample per autocorrelation time.
     """
-    nominal, sd = column(free, "nominal"), column(free, "prior_sd")
-    prior = SwimPrior(nominal, np.diag(sd**2), 0 * sd, np.ones((4, 3)))
-    problem = SwimProblem(Coordinates.of_parameters(model, free), swims, simulate, prior)
-    x, nothing = problem.centre(frozenset()), frozenset[Any]()
+    c = Coordinates.of_parameters(model, free)
+    variance = np.diag(c.each("prior_sd") ** 2)
+    prior = SwimPrior(c.nominal, variance, np.zeros(len(free)), np.ones((4, 3)))
+    problem = SwimProblem(c, swims, simulate, prior)
+    nothing: Members = frozenset()
+    x = problem.centre(nothing)
     for number in range(rounds):
-        errors = [
-            signals_at(problem.coordinates, swim, x[None], simulate)[0] - swim.signals
-            for swim in swims
-        ]
+        errors = [signals_at(c, swim, x[None], simulate)[0] - swim.signals for swim in swims]
         rms = np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
-        sizes = [np.tile(np.maximum(rms, _FINEST), (swim.t.size, 1)) for swim in swims]
-        for swim, blocks, size in zip(swims, problem.blocks, sizes, strict=True):
+        problem.weights = []
+        for swim, blocks, error in zip(swims, problem.blocks, errors, strict=True):
+            size = np.tile(np.maximum(rms, _FINEST), (swim.t.size, 1))
             for a, b in blocks.edges if share is not None else ():
                 signal = np.sqrt(np.mean(swim.signals[a:b] ** 2, axis=0))
                 size[a:b] = np.hypot(swim.noise_sd, share * signal) + _FINEST
-        relative = [np.nan_to_num(e / size) for e, size in zip(errors, sizes, strict=True)]
-        times = np.mean([[correlation_samples(e) for e in part.T] for part in relative], axis=0)
-        inflated = np.sqrt(times) if number or share is not None else 1.0
-        # signals that were not measured count nothing
-        problem.weights = [np.nan_to_num(1 / (size * inflated)) for size in sizes]
+            relative = np.nan_to_num(error / size)
+            if number or share is not None:
+                size *= np.sqrt([correlation_samples(one) for one in relative.T])
+            # signals that were not measured count nothing
+            problem.weights.append(np.nan_to_num(1 / size))
         fit = problem.plain(x).fit
         x = fit.x
-    normal = problem.covariance(nothing, fit)
-    meat = problem.precision(nothing)
-    scores = problem.of_swims(fit.near.slope * fit.rows[:, None])
+    normal, meat = problem.covariance(nothing, fit), problem.precision(nothing)
+    scores = problem.of_swims(fit.slope * fit.rows[:, None])
     for blocks, score in zip(problem.blocks, scores, strict=True):
-        first = [a for a, _ in blocks.edges]
-        of_blocks = np.add.reduceat(score.sum(axis=1), first, axis=0)
+        of_blocks = np.add.reduceat(score.sum(axis=1), [a for a, _ in blocks.edges], axis=0)
         meat = meat + long_run(of_blocks, min(2, len(of_blocks)))
     covariance = normal @ meat @ normal
     wider = np.sqrt(np.maximum(np.diag(normal) / np.diag(covariance), 1.0))
-    return problem.coordinates.model_at(x), x, covariance * np.outer(wider, wider)
+    return c.model_at(x), x, covariance * np.outer(wider, wider)
 
 
 def _errors(
     swims: Sequence[Swim], models: Sequence[Model], simulator: Simulator, held_out: float
-) -> tuple[Array, Array, Array]:
-    """Root mean square errors in the fitted and in the held-out part, (M, K) each, and noise."""
+) -> tuple[Array, Array]:
+    """Root mean square errors in the fitted and in the held-out part, each (M, 3 + J)."""
     squares = []
     for swim in swims:
         error = simulated(swim, models, simulator) - swim.signals
@@ -215,7 +215,7 @@ def _errors(
         parts = np.split(error**2, [cut], axis=1)
         squares.append([np.nanmean(part, axis=1) for part in parts])
     train, held = np.sqrt(np.mean(squares, axis=0))
-    return train, held, np.sqrt(np.mean([swim.noise_sd**2 for swim in swims], axis=0))
+    return train, held
 
 
 @dataclass(frozen=True)
@@ -312,19 +312,14 @@ def _tables(fit: Calibrated, where: str, robot: Robot) -> list[Block]:
         (p.name, Quantity("value", "", float(best), (float(low), float(high))))
         for p, best, (low, high) in zip(fit.free, fit.best, fit.interval(), strict=True)
     ]
-    beyond = np.sqrt(np.maximum(fit.rmse**2 - fit.noise**2, 0.0))
-    errors = [
-        (
-            name,
-            *(f"{x:.4f}" for x in fit.rmse[:, k]),
-            unit,
-            change_text(*fit.rmse[:, k]),
-            f"{change_text(*beyond[:, k])} beyond {noise:.4f}" if noise > 0 else "",
-        )
-        for k, ((name, unit), noise) in enumerate(
-            zip(units_of(robot).items(), fit.noise, strict=True)
-        )
-    ]
+    errors = []
+    rows = zip(units_of(robot).items(), *fit.rmse, fit.noise, strict=True)
+    for (name, unit), before, after, noise in rows:
+        change, of_it = change_text(before, after), ""
+        if noise > 0:
+            beyond = (float(np.sqrt(max(x**2 - noise**2, 0.0))) for x in (before, after))
+            of_it = f"{change_text(*beyond)} beyond {noise:.4f}"
+        errors.append((name, f"{before:.4f}", f"{after:.4f}", unit, change, of_it))
     header = ("held-out error", "before", "after", "unit", "change", "of it beyond the noise")
     heading = Text("", heading=f"In {where}")
     return [heading, quantity_table(values, "parameter"), Table(header, errors)]
@@ -334,13 +329,13 @@ def _with_errors(fit: Calibrated, robot: Robot, cell_m: float | None = None) -> 
     """The calibrated model with the intervals of its parameters and its errors."""
     if not np.all(np.isfinite(fit.best)):
         raise InputError("calibrate", "fit", "no finite parameters", "recordings that move")
-    names = names_in_files(robot)
-    figures = zip(fit.train[1].tolist(), fit.rmse[1].tolist(), fit.rmse[0].tolist(), strict=True)
+    figures = np.stack([fit.train[1], fit.rmse[1], fit.rmse[0]], axis=1).tolist()
     keys = ("train", "heldout", "heldout_before")
-    errors = {n: dict(zip(keys, row, strict=True)) for n, row in zip(names, figures, strict=True)}
-    free = [p.name for p in fit.free]
-    posterior = {"cell_m": cell_m, "names": free, "mean": fit.best.tolist()}
+    rows = zip(names_in_files(robot), figures, strict=True)
+    errors = {name: dict(zip(keys, row, strict=True)) for name, row in rows}
+    names = [p.name for p in fit.free]
+    posterior = {"cell_m": cell_m, "names": names, "mean": fit.best.tolist()}
     posterior["covariance"] = fit.covariance.tolist()
-    interval = dict(zip(free, fit.interval().tolist(), strict=True))
+    interval = dict(zip(names, fit.interval().tolist(), strict=True))
     body = {**fit.model.body, "interval": interval, "posterior": posterior}
     return replace(fit.model, body=body, fit={**fit.model.fit, **errors})

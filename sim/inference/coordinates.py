@@ -1,36 +1,36 @@
-"""Coordinates of the parameters of swims, in which the simulated signals are nearly linear.
+"""Parameters of swims, and coordinates in which the simulated signals are nearly linear.
 
-Those of a tether are its stiffness and stiffness times anchor, of an appendage its area and area
-times place, of a viscoelastic skin a fast and a slow stiffness. A current is added to a simulation
-in still water.
+Parameters are those of the twin's law, servos, water, effects of the body and the camera.
+
+Coordinates of a tether are its stiffness and stiffness times anchor, of an appendage its area and
+area times place, of a viscoelastic skin a fast and a slow stiffness. A current is added to a
+simulation in still water.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from sim.inference import signal_error
-from sim.inference.swim_parameters import (
-    Name,
-    Names,
-    candidates,
-    law_parameters,
-    servo_parameters,
-)
-from sim.inference.swims import SUBSTEPS, Swim, SwimSimulator, seen, with_values
-from sim.robot.swimmer import CONTROL_S
-from sim.twin.law import Coefficients
+from sim.inference.swims import SUBSTEPS, Swim, SwimSimulator, distinct, seen, with_values
+from sim.robot.effects import area_sd
+from sim.robot.swimmer import CONTROL_S, least_viscosity
+from sim.twin.law import FITTED, Coefficients
 from sim2real.arrays import Array, Index, Mask
-from sim2real.body import values
+from sim2real.body import body_effect, listed, values
+from sim2real.effects import BODY, CAMERA
+from sim2real.effects.body_effect import BodyEffect, CameraEffect
 from sim2real.inference.parameters import Parameter
 from sim2real.model import Model
 from sim2real.robot import Robot
 from sim2real.velocity import turned
 
+Name = tuple[str, str]
+"""An effect of body or camera, and the material that it belongs to, or ``body`` or ``camera``."""
+Names = frozenset[Name]
 LAW = ("across", "along", "added_mass", "thrust", "linear", "slender", "head", "tail", "wake")
 """Coefficients of the twin's law that a diagnosis fits."""
 WATER = ("cells", "viscosity", "eddies", "friction", "box")
@@ -46,21 +46,122 @@ QUICK_S, SLOW_S = 0.12, 0.9
 LATENCY, SUBSTEP_S = ".latency_s", CONTROL_S / SUBSTEPS
 _CURRENT = ("pool_current.u_m_s", "pool_current.v_m_s")
 _STIFF, _RELAX = "skin_viscoelasticity.stiffness_Nm_per_rad", "skin_viscoelasticity.relaxation_s"
-_PULL = ("tether.stiffness_N_per_m", "tether.x_m", "tether.y_m")
-_AREA = ("appendage_drag.area_m2", "appendage_drag.x_m")
+
+SERVO = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
+AREAS = "appendage_area"
+"""Error of what the robot file states, which a calibration fits: no physics that it leaves out."""
+_CALIBRATED = ("across", "along", "added_mass", "linear", "thrust", "wake", "wake_s")
+"""Coefficients of the law that a calibration fits: a few swims do not distinguish the others from
+these, and they could conceal a missing effect."""
+_USUAL = {"across": 1.0, "along": 0.2, "added_mass": 0.2, "linear": 0.2}
+"""Least usual values of coefficients, for those whose fitted values are smaller."""
+_LAW_SD = {"thrust": 0.5, "wake": 0.3, "wake_s": FITTED.wake_s}
+_HIGHEST = {"thrust": 2.0, "wake": 0.95, "wake_s": 10.0}
+"""Prior standard deviations and upper bounds that are not multiples of the usual value."""
 
 
-class Products(NamedTuple):
-    """Limits of the products of an effect's size with its places, which are their coordinates."""
+def law_parameters(
+    law: Coefficients = FITTED, names: Sequence[str] = _CALIBRATED
+) -> list[Parameter]:
+    """Coefficients of the twin's law, about those of ``law``."""
+    out = []
+    for name in names:
+        value = float(getattr(law, name))
+        size = max(abs(value), 0.1)
+        usual = max(size, _USUAL.get(name, 0.0))
+        high, sd = _HIGHEST.get(name, 20 * usual), _LAW_SD.get(name, 2 * usual)
+        low = 0.05 if name == "wake_s" else 0.0
+        out.append(Parameter(f"twin.{name}", low, high, 0.4 * size, value, sd))
+    return out
 
-    bound: float
+
+def servo_parameters(model: Model, robot: Robot, *, gains: bool = False) -> list[Parameter]:
+    """Latencies of all joints, which a radio link changes, and their gains if asked."""
+    out = []
+    for joint in robot.joints:
+        servo = model.joints[joint.name]
+        for name in SERVO if gains else SERVO[2:]:
+            value = float(getattr(servo, name))
+            size = max(abs(value), 1e-3)
+            sd = (0.5 if name == "latency_s" else 0.1) * size
+            bounds = (0.1 * size, 5 * size)
+            out.append(Parameter(f"{joint.name}.{name}", *bounds, 0.2 * size, value, sd))
+    return out
+
+
+def twin_parameters(model: Model, robot: Robot, *, gains: bool = False) -> list[Parameter]:
+    """Parameters of a calibration in the twin: its law, the appendages' areas, the servos."""
+    servos = servo_parameters(model, robot, gains=gains)
+    return [*law_parameters(), *appendage_parameters(robot), *servos]
+
+
+def appendage_parameters(robot: Robot) -> list[Parameter]:
+    """The error of the drag areas of the appendages in the robot file; none without appendages."""
+    if not robot.appendages:
+        return []
+    (ratio,) = effect_parameters(AREAS)
+    return [replace(ratio, prior_sd=max(area_sd(robot), ratio.typical / 10))]
+
+
+def effect_parameters(effect: str, material: str | None = None) -> list[Parameter]:
+    """Parameters of a body or camera effect."""
+    described = body_effect(effect)
+    prefix = f"{effect}.{material}" if described.by_material else effect
+    out = []
+    for k, p in enumerate(described.parameters):
+        start = max(0.0 if k == 0 or p.low < 0 else p.typical, p.low)
+        name, sd = f"{prefix}.{p.name}", 4 * p.typical
+        out.append(Parameter(name, p.low, p.high, p.typical, start, sd, unit=p.unit))
+    return out
+
+
+def water_parameters(robot: Robot, cell_m: float) -> list[Parameter]:
+    """Drag, friction and added mass of the body, and the viscosity for cells of a size."""
+    out = effect_parameters("form_drag") + effect_parameters("linear_drag")
+    for material in _materials(robot):
+        out += effect_parameters("surface_friction", material)
+    out += appendage_parameters(robot) + effect_parameters("added_mass")
+    least = least_viscosity(cell_m)
+    bounds = (least, 20 * least)
+    viscosity = ("water.viscosity_m2_s", *bounds, 0.4 * least, 1.2 * least, 0.6 * least)
+    return [*out, Parameter(*viscosity)]
+
+
+def candidates(robot: Robot) -> dict[Name, list[Parameter]]:
+    """Every effect of the catalogue's body and camera that this robot may have."""
+    out = {}
+    effects: tuple[BodyEffect | CameraEffect, ...] = (*BODY, *CAMERA)
+    for effect in effects:
+        if effect.name == AREAS:
+            continue
+        component = "camera" if isinstance(effect, CameraEffect) else "body"
+        for material in _materials(robot) if effect.by_material else [None]:
+            free = effect_parameters(effect.name, material)
+            out[effect.name, material or component] = free
+    return out
+
+
+def _materials(robot: Robot) -> list[str]:
+    return sorted({link.material or "" for link in robot.links})
+
+
+@dataclass(frozen=True)
+class Placed:
+    """An effect of a size at a place; coordinates are the size, and size times places."""
+
+    size: str  # name of the size
+    places: tuple[str, ...]  # names of the places
+    bound: float  # bound, step and prior standard deviation of the products
     step: float
     prior_sd: float
-    least_size: float
+    least_size: float  # size below which a place has no influence
 
 
-_PLACED = {_PULL: Products(10.0, 0.05, 0.4, 1e-4), _AREA: Products(0.2, 1e-4, 2e-3, 1e-5)}
-"""Effects with a place: names of their size and places, and limits of the products."""
+_TETHER = Placed("tether.stiffness_N_per_m", ("tether.x_m", "tether.y_m"), 10.0, 0.05, 0.4, 1e-4)
+_PLACED = (
+    _TETHER,
+    Placed("appendage_drag.area_m2", ("appendage_drag.x_m",), 0.2, 1e-4, 2e-3, 1e-5),
+)
 
 
 @dataclass(frozen=True)
@@ -76,18 +177,11 @@ class Column:
     prior_sd: float = np.inf  # standard deviation of the prior of an effect that is present
 
     @property
-    def shown(self) -> bool:
-        """Whether it is added to a finished simulation: camera effects and the current."""
-        of_camera = self.effect is not None and self.effect[1] == "camera"
-        return of_camera or self.name in _CURRENT
-
-    @property
     def kind(self) -> str:
         """Key in ``law_error.json``: the name without joint or material."""
-        parts = self.name.split(".")
-        if self.effect is None:
-            return ".".join((parts[0] if parts[0] in ("twin", "water") else "servo", parts[-1]))
-        return f"{parts[0]}.{parts[-1]}"
+        head, *_, tail = self.name.split(".")
+        own = self.effect is not None or head in ("twin", "water")
+        return f"{head if own else 'servo'}.{tail}"
 
 
 @dataclass(frozen=True)
@@ -112,22 +206,16 @@ class Coordinates:
         """The columns of a diagnosis of a robot with these servos."""
         law = law_parameters(Coefficients.of(model.body), LAW)
         columns = _base([*servo_parameters(model, robot, gains=True), *law])
-        columns += [
-            Column(f"water.{name}", None, 0.0, -4.0, 4.0, 0.5)
-            for name in WATER
-            if name in model.body.get("water", {})
-        ]
-        listed = candidates(robot)
-        columns += [
-            Column(p.name, effect, 0.0, *_limits(effect, free, p))
-            for effect, free in listed.items()
-            for p in free
-        ]
+        waters = model.body.get("water", {})
+        columns += [Column(f"water.{n}", None, 0.0, -4.0, 4.0, 0.5) for n in WATER if n in waters]
+        effects = candidates(robot)
+        for effect, free in effects.items():
+            columns += [Column(p.name, effect, 0.0, *_limits(effect, free, p)) for p in free]
         columns += [
             Column(name, (ERROR, "camera"), 0.0, -1.0, 1.0, 0.01, 0.0)
             for name in signal_error.names(len(robot.joints))
         ]
-        return cls(model, tuple(columns), listed)
+        return cls(model, tuple(columns), effects)
 
     @classmethod
     def of_parameters(cls, model: Model, free: Sequence[Parameter]) -> Coordinates:
@@ -160,39 +248,33 @@ class Coordinates:
         """Points (..., F) within the bounds."""
         return np.clip(x, self.each("low"), self.each("high"))
 
-    def room(self, x: Array) -> Array:
-        """Distances from a point (F,) to the lower and upper bounds, shape (2, F)."""
-        return np.stack([self.each("low") - x, self.each("high") - x])
-
     def parameters(self, x: Array) -> dict[str, float]:
         """Parameters by name at a point (F,), without those of effects whose columns are all 0."""
         out = {c.name: float(v) for c, v in zip(self.columns, x, strict=True)}
-        if _STIFF in out and _RELAX in self.place and self.effects:
+        absent = [e for e in self.effects if not any(x[k] for k in self.of_effect(e))]
+        if _STIFF in out and self.effects:
             quick, slow = max(out[_STIFF], 0.0), max(out[_RELAX], 0.0)
             out[_STIFF] = quick + slow
             share = slow / (quick + slow) if quick + slow > 0 else 0.5
-            out[_RELAX] = float(np.exp((1 - share) * np.log(QUICK_S) + share * np.log(SLOW_S)))
-        for (size, *places), products in _PLACED.items():
-            for name in places if size in out and self.effects else ():
-                place = out[name] / out[size] if out[size] > products.least_size else 0.0
+            out[_RELAX] = float(QUICK_S ** (1 - share) * SLOW_S**share)
+        for placed in _PLACED:
+            for name in placed.places if placed.size in out and self.effects else ():
+                size = out[placed.size]
+                place = out[name] / size if size > placed.least_size else 0.0
                 out[name] = float(np.clip(place, -10.0, 10.0))
-        off = {
-            free[0].name.rpartition(".")[0]
-            for effect, free in self.effects.items()
-            if not any(x[k] for k in self.of_effect(effect))
-        }
-        return {
-            name: v
-            for name, v in out.items()
-            if name.rpartition(".")[0] not in off and (v or not name.startswith(ERROR))
-        }
+        for p in (p for effect in absent for p in self.effects[effect]):
+            del out[p.name]
+        return out
 
     def model_at(self, x: Array) -> Model:
-        """The model at a point (F,); ``seems`` is stored separately, as ``body.seems``."""
-        model = with_values(self.model, self.parameters(x))
-        error = np.broadcast_to(self.seems, x.shape)
-        seems = {self.columns[k].name: float(error[k]) for k in np.flatnonzero(error)}
-        return replace(model, body={**model.body, "seems": seems}) if seems else model
+        """The model at a point (F,); the simulator's error is stored apart, as ``body.seems``."""
+        parameters, seems = self.parameters(x), np.broadcast_to(self.seems, x.shape)
+        names = [name for name in parameters if name.startswith(ERROR)]
+        error = {name: parameters.pop(name) + float(seems[self.place[name]]) for name in names}
+        model = with_values(self.model, parameters)
+        body = {name: part for name, part in model.body.items() if name != "seems"}
+        stated = {"seems": {name: v for name, v in error.items() if v}}
+        return replace(model, body=body | (stated if any(error.values()) else {}))
 
     def steps(self, x: Array) -> Array:
         """Steps of one-sided derivatives about a point (F,), within the bounds."""
@@ -208,10 +290,10 @@ class Coordinates:
         points = np.tile(x, (x.size + 1, 1))
         points[np.arange(1, x.size + 1), np.arange(x.size)] += self.steps(x)
         base = np.zeros(x.size, dtype=np.intp)
-        for (name, *places), products in _PLACED.items():
-            if name in self.place and x[self.place[name]] < 10 * products.least_size:
-                size = self.place[name]
-                for k in (self.place[place] for place in places):
+        for placed in _PLACED:
+            size = self.place.get(placed.size)
+            if size is not None and x[size] < 10 * placed.least_size:
+                for k in (self.place[name] for name in placed.places):
                     points[k + 1, size] = points[size + 1, size]
                     base[k] = size + 1
         return points, base
@@ -234,57 +316,44 @@ def _limits(
     """Bounds, step and prior standard deviation of the column of an effect's parameter."""
     if p.name == _RELAX:
         return 0.0, 10.0, free[0].typical / 2, 4 * free[0].typical
-    for (_, *places), products in _PLACED.items():
-        if p.name in places:
-            low = 0.0 if p.low == 0.0 else -products.bound
-            return low, products.bound, products.step, products.prior_sd
+    for placed in _PLACED:
+        if p.name in placed.places:
+            low = 0.0 if p.low == 0.0 else -placed.bound
+            return low, placed.bound, placed.step, placed.prior_sd
     low = 0.0 if effect[0] in WATER_FORCES else p.low
-    if p.name == _PULL[0]:
-        return low, p.high, _PLACED[_PULL].step, _PLACED[_PULL].prior_sd
+    if p.name == _TETHER.size:
+        return low, p.high, _TETHER.step, _TETHER.prior_sd
     return low, p.high, 0.5 * p.typical, p.prior_sd
+
+
+def is_shown(name: str) -> bool:
+    """Whether a parameter is added to a finished simulation: camera effects and the current."""
+    return name in _CURRENT or name.partition(".")[0] in {effect.name for effect in CAMERA}
 
 
 def signals_at(
     coordinates: Coordinates, swim: Swim, points: Array, simulate: SwimSimulator
 ) -> Array:
-    """Signals of a swim at points (E, F), (E, T, 3 + J); camera and current need no simulation."""
-    own = values(coordinates.model)
-    shown = [k for k, c in enumerate(coordinates.columns) if c.shown]
-    points = points + coordinates.seems
-    inner = points.copy()
-    inner[:, shown] = 0.0
-    unique, inverse = np.unique(inner, axis=0, return_inverse=True)
-    still = {name: 0.0 for name in _CURRENT if name in own}
-    models = [with_values(coordinates.model, coordinates.parameters(x) | still) for x in unique]
-    track = simulate(models, swim)[inverse.reshape(-1)]
-    return _signals(track, [own | coordinates.parameters(x) for x in points], swim)
+    """Signals of a swim at points (E, F), shape (E, T, 3 + J)."""
+    return signals_of([coordinates.model_at(x) for x in points], swim, simulate)
 
 
 def signals_of(models: Sequence[Model], swim: Swim, simulate: SwimSimulator) -> Array:
-    """Signals of a swim by models; current and camera as in ``signals_at``, shape (E, T, 3 + J)."""
-    parameters = []
-    for model in models:
-        effects = values(model)
-        seems: Mapping[str, float] = model.body.get("seems", {})
-        parameters.append(effects | {name: effects.get(name, 0.0) + v for name, v in seems.items()})
-    in_still_water = [
-        with_values(
-            model,
-            {n: 0.0 if n in _CURRENT else v for n, v in by_name.items() if not n.startswith(ERROR)},
-        )
-        for model, by_name in zip(models, parameters, strict=True)
-    ]
-    return _signals(simulate(in_still_water, swim), parameters, swim)
+    """Signals of a swim by models, shape (E, T, 3 + J).
 
-
-def _signals(track: Array, parameters: Sequence[Mapping[str, float]], swim: Swim) -> Array:
-    """Signals of tracks (E, T, 3 + J) simulated in still water: with current, camera and error."""
-    out = seen(swim.t, track, parameters)
-    for e, by_name in enumerate(parameters):
-        error_sizes = {n: v for n, v in by_name.items() if n.startswith(ERROR)}
-        if error_sizes:
-            shapes = signal_error.shapes(out[e])
-            out[e] += sum(v * shapes[name] for name, v in error_sizes.items())
-    current = [[by_name.get(name, 0.0) for name in _CURRENT] for by_name in parameters]
+    They are simulated in still water; current, camera and the simulator's error are added.
+    """
+    effects = [values(model) for model in models]
+    bare = []
+    for model, known in zip(models, effects, strict=True):
+        inner = listed({name: v for name, v in known.items() if not is_shown(name)})
+        bare.append(replace(model, body={**model.body, "effects": inner, "seems": {}}))
+    unique, inverse = distinct(bare)
+    out = seen(swim.t, simulate(unique, swim)[inverse], effects)
+    for signals, model in zip(out, models, strict=True):
+        if sizes := model.body.get("seems"):
+            shapes = signal_error.shapes(signals)
+            signals += sum(sizes.get(name, 0.0) * shape for name, shape in shapes.items())
+    current = [[known.get(name, 0.0) for name in _CURRENT] for known in effects]
     out[..., :2] += turned(np.array(current)[:, None], -swim.heading)
     return out

@@ -9,9 +9,8 @@ measured (``reports/design/swims.md``).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from itertools import chain
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,16 +22,14 @@ from sim.inference.signal_error import Blocks
 from sim.inference.swims import SUBSTEPS, Swim, by_followed_twin
 from sim.twin.twin import Twin
 from sim2real.arrays import Array
-from sim2real.design.contexts import AS_IT_IS
 from sim2real.design.limits import CommandLimits, check_seconds, limits_of
-from sim2real.design.rivals import distances, remaining_entropy
+from sim2real.design.plan import commands_without_angles
+from sim2real.design.rivals import RivalObjective, root_of_inverse
 from sim2real.design.search import best
 from sim2real.design.tell_apart import Request, RivalDesign, forecast
-from sim2real.diagnose.rival_sets import entropy
 from sim2real.diagnose.swim_rivals import SwimRivals
 from sim2real.errors import InputError
 from sim2real.model import Model
-from sim2real.recording import Recording
 from sim2real.robot import Robot
 
 
@@ -86,34 +83,6 @@ def _square(rng: np.random.Generator, t: Array, joints: int) -> Array:
     return np.asarray(level[:, None] * (rng.random(joints) < 0.7))
 
 
-@dataclass(frozen=True)
-class SwimDesign(RivalDesign):
-    """A swim to make next, from standstill in the middle of the pool, heading along x."""
-
-    # the joints that ``command`` of the forecast moves, in its order
-    moved_joints: tuple[str, ...] = field(default=())
-
-    @property
-    def setting(self) -> str:
-        """Where the swim starts, in one line."""
-        return "start: at rest in the middle of the pool, heading along x"
-
-    def recording(self, name: str = "next") -> Recording:
-        """The commands as a recording without measurements, and what they are to tell."""
-        (body,) = self.joints
-        return Recording(
-            name=name,
-            kind="pool",
-            joints=self.moved_joints,
-            t=self.t,
-            command=body.command,
-            position=np.full(body.command.shape, np.nan),
-            medium="water",
-            source="Commands to swim next, by 'sim2real design'.",
-            metadata=self.statement,
-        )
-
-
 def design_swim(
     rivals: SwimRivals,
     model: Model,
@@ -123,12 +92,13 @@ def design_swim(
     drawn: int = 96,
     rounds: int = 4,
     threads: int = 2,
-) -> SwimDesign:
+) -> RivalDesign:
     """The commands of a swim that leave the least expected entropy over the rival sets.
 
-    ``drawn`` random swims are simulated in the twin with each set; the best are varied, in
-    ``rounds`` batches of 16. ``model`` is that of the diagnosis. An InputError if fewer than two
-    sets are probable, or no swim keeps within the limits.
+    The swim starts at rest in the middle of the pool, heading along x. ``drawn`` random swims are
+    simulated in the twin with each set; the best are varied, in ``rounds`` batches of 16. ``model``
+    is that of the diagnosis. An InputError if fewer than two sets are probable, or no swim keeps
+    within the limits.
     """
     seconds, file = request.seconds, request.file
     if not request.leaves_open(rivals):
@@ -151,17 +121,26 @@ def design_swim(
         if excess[0] > 0:
             found = f"swims that exceed the {limit}, of {result.evaluated} tried"
             raise InputError(robot.path or robot.name, "limits", found, "a shorter swim")
-    names = tuple(joint.joint for joint in limits.joints)
     body = forecast(objective, result.command, achieved=1.0)  # not measured for swims
-    return SwimDesign(AS_IT_IS, (body,), request.least, moved_joints=names)
+    commands = commands_without_angles(
+        limits.joints[0].times(seconds),
+        {joint.joint: body.command[:, k] for k, joint in enumerate(limits.joints)},
+        {"rivals": [body.content()]},
+        kind="pool",
+        medium="water",
+    )
+    start = "start: at rest in the middle of the pool, heading along x"
+    return RivalDesign(commands, (body,), start, request.least)
 
 
-class SwimObjective:
+class SwimObjective(RivalObjective):
     """Scores of the commands of a swim that begins in the middle of the pool, heading along x.
 
-    The share ``uniform`` of the probability (M,) is the same for all sets: the laws of the effects
-    are approximations.
+    The share ``uniform`` of the probability is the same for all sets: the laws of the effects are
+    approximations. Signals are linear in the coordinates about the likeliest set.
     """
+
+    rivals: SwimRivals
 
     def __init__(
         self,
@@ -174,40 +153,28 @@ class SwimObjective:
         threads: int = 2,
         file: object = "diagnosis",
     ) -> None:
-        self.rivals, self._robot, self._limits, self._threads = rivals, robot, limits, threads
-        p = np.array([one.probability for one in rivals.sets])
-        self.probability = (1 - uniform) * p / p.sum() + uniform / p.size
+        super().__init__(rivals, uniform=uniform)
+        self._robot, self._limits, self._threads = robot, limits, threads
         # with what the diagnosis has learned of the simulator's error
         learned: dict[str, float] = model.body.get("seems", {})
         c = Coordinates.of(robot, replace(model, body={**model.body, "effects": []}))
         seems = np.array([learned.get(column.name, 0.0) for column in c.columns])
         self._coordinates = replace(c, seems=seems)
         self._simulate = by_followed_twin(robot, threads=threads)
-        self._points, self._vectors = self._expansion(str(file))
-        self._blocks: Blocks | None = None
+        self._points, self._roots = self._expansion(str(file))
 
-    def __call__(self, commands: Array, *, penalty: float = 10.0) -> Array:
-        """Scores of set-points (N, T, J) in rad, shape (N,); -inf where a simulation diverges.
+    def excess(self, commands: Array) -> Array:
+        """How much commands (N, T, J) exceed all limits together, shape (N,)."""
+        return np.asarray(np.sum(list(self.excesses(commands).values()), axis=0))
 
-        Minus the entropy that remains, in nats, or that before the swim, less the penalty, where
-        limits are exceeded: ``penalty`` for a torque of twice what is allowed or a path 1 m
-        outside.
-        """
-        tracks = self._tracks(commands)
-        excess = np.sum(list(self.excesses(commands, tracks).values()), axis=0)
-        scores = -entropy(self.probability) - penalty * excess
-        for n in np.flatnonzero(excess == 0.0):
-            scores[n] = -remaining_entropy(self.probability, self._apart(commands[n], tracks[n]))
-        return np.asarray(scores)
-
-    def excesses(self, commands: Array, tracks: Array | None = None) -> dict[str, Array]:
+    def excesses(self, commands: Array) -> dict[str, Array]:
         """By limit, how much the likeliest set exceeds it, relative or in m, each (N,); 0 if kept.
 
         The head stays a body's length from the walls: its path is known roughly. Torques are those
-        of the servos' gains; set-points (N, T, J) arrive late. ``tracks`` is from ``_tracks``.
+        of the servos' gains; set-points (N, T, J) arrive late.
         """
-        tracks = self._tracks(commands) if tracks is None else tracks
-        angles, period = tracks[:, :, 3:], self._limits.period_s
+        tracks, period = self._tracks(commands), self._limits.period_s
+        angles = tracks[:, :, 3:]
         room = np.array(POOL_M[:2]) / 2 - sum(link.length_m for link in self._robot.links)
         joints = self._limits.joints
         servos = [self._coordinates.model.joints[joint.joint] for joint in joints]
@@ -225,10 +192,23 @@ class SwimObjective:
         # a robot that the simulation loses exceeds every limit
         return {k: np.nan_to_num(np.maximum(x, 0.0), nan=np.inf) for k, x in found.items()}
 
-    def distances(self, commands: Array) -> Array:
-        """Bhattacharyya distances of all pairs of sets, shape (N, M, M); NaN where it diverges."""
-        tracks = self._tracks(commands)
-        return np.array([self._apart(*pair) for pair in zip(commands, tracks, strict=True)])
+    def predictions(self, commands: Array) -> Iterator[tuple[Array, Array, float]]:
+        """For each swim whitened predictions (M, n), spreads (M, F, n), and the trusted share."""
+        period, rivals, M = self._limits.period_s, self.rivals, self.probability.size
+        t = period * np.arange(commands.shape[1], dtype=np.float64)
+        pose_noise = PoseNoise(rivals.pose_sd, rivals.pose_lag_s)
+        noise_sd, blocks = np.concatenate([np.zeros(3), rivals.joint_sd_rad]), None
+        for command, track in zip(commands, self._tracks(commands), strict=True):
+            swim = Swim(
+                "next", t, command, track[0, :3], np.zeros(track.shape), noise_sd,
+                pose=track[:, :3], pose_noise=pose_noise,
+            )  # fmt: skip
+            signals = signals_at(self._coordinates, swim, self._points, self._simulate)
+            blocks = Blocks.of(swim) if blocks is None else blocks
+            blocks = replace(blocks, power=blocks.about(signals[0]))
+            rows = blocks.weighted(signals - signals[0], blocks.weights(rivals.shares)).T
+            base, moved = np.split(rows[M:], 2)
+            yield rows[:M], self._roots @ (moved - base), 1 / rivals.temperature
 
     def _tracks(self, commands: Array) -> Array:
         """Tracks of the likeliest set in the pool, shape (N, T, 3 + J), from standstill."""
@@ -238,30 +218,11 @@ class SwimObjective:
         first = twin.track()[:, None]
         return np.concatenate([first, twin.swim(commands[:, :-1], which=np.arange(N))], axis=1)
 
-    def _apart(self, command: Array, track: Array) -> Array:
-        """Distances of all pairs of sets, shape (M, M), for one command (T, J) and its track."""
-        period, rivals, M = self._limits.period_s, self.rivals, self.probability.size
-        swim = Swim(
-            "next", period * np.arange(len(command), dtype=np.float64), command, track[0, :3],
-            np.zeros(track.shape), np.concatenate([np.zeros(3), rivals.joint_sd_rad]),
-            pose=track[:, :3], pose_noise=PoseNoise(rivals.pose_sd, rivals.pose_lag_s),
-        )  # fmt: skip
-        signals = signals_at(self._coordinates, swim, self._points, self._simulate)
-        if self._blocks is None or self._blocks.seen.shape != track.shape:
-            self._blocks = Blocks.of(swim)
-        blocks = replace(self._blocks, power=self._blocks.about(signals[0]))
-        rows = blocks.weighted(signals - signals[0], blocks.weights(rivals.shares))
-        if not np.isfinite(rows).all():
-            return np.full((M, M), np.nan)
-        products = self._vectors.T @ (rows.T @ rows) @ self._vectors
-        return np.asarray(distances(products[None], M)[0]) / rivals.temperature
-
     def _expansion(self, file: str) -> tuple[Array, Array]:
-        """Points (R, F), and coefficients of their signals that give predictions and spreads.
+        """Points (M + 2 C, F): the sets, then pairs of which C coordinates differ by a step.
 
-        The first M points are the sets, then a pair for each derivative, at the likeliest set that
-        has the coordinate or at the likeliest of all. Coefficients (R, M + M C): the predictions of
-        the sets, then for each its derivatives times a root of the covariance.
+        Also roots of the covariance of these coordinates in steps, by set, shape (M, G, C): of its
+        estimate, and of the variation between swims.
         """
         c, sets, M = self._coordinates, self.rivals.sets, len(self.rivals.sets)
         at, free = np.tile(c.nominal, (M, 1)), []
@@ -272,23 +233,19 @@ class SwimObjective:
                     raise InputError(file, f"swim_rivals.sets[{i}].coordinates", found, expected)
             free.append([c.place[name] for name in one.coordinates])
             at[i, free[i]] = list(one.coordinates.values())
-        least = NEVER * c.each("step")
         stated = [self.rivals.imitation.get(column.name, 0.0) for column in c.columns]
-        imitation = np.maximum(stated, least)
-        used = sorted({*np.flatnonzero(imitation > 2 * least).tolist(), *chain(*free)})
-        points = list(at)
-        derivatives = np.zeros((M + 2 * len(used), len(used)))
-        for n, k in enumerate(used):
-            i = next((i for i in range(M) if k in free[i]), 0)
-            around, base = c.about(at[i])
-            points += [around[base[k]], around[k + 1]]
-            derivatives[M + 2 * n : M + 2 * n + 2, n] = np.array([-1, 1]) / c.steps(at[i])[k]
-        vectors = [np.eye(len(points), M)]
+        least = NEVER * c.each("step")
+        used = np.flatnonzero(np.array(stated) > 2 * least)
+        used = np.unique(np.concatenate([used, *free])).astype(int)
+        around, base = c.about(at[0])
+        own = max(len(columns) for columns in free)
+        roots = np.zeros((M, own + used.size, used.size))
         for i, one in enumerate(sets):
-            variance = imitation**2
-            effects = [k for k in free[i] if c.columns[k].effect is not None]
-            variance[effects] += np.square(self.rivals.relative * at[i, effects])
-            covariance = np.diag(variance)
-            covariance[np.ix_(free[i], free[i])] += np.linalg.inv(one.information)
-            vectors.append(derivatives @ np.linalg.cholesky(covariance[np.ix_(used, used)]))
-        return c.clipped(np.array(points)), np.hstack(vectors)
+            places = np.searchsorted(used, free[i])
+            roots[i][: len(places), places] = root_of_inverse(one.information).T
+            variance = np.maximum(stated, least)[used] ** 2
+            of_effect = [n for n in places if c.columns[used[n]].effect is not None]
+            variance[of_effect] += np.square(self.rivals.relative * at[i, used[of_effect]])
+            roots[i, own:] = np.diag(np.sqrt(variance))
+        points = np.vstack([at, around[base[used]], around[used + 1]])
+        return c.clipped(points), roots / c.steps(at[0])[used]

@@ -13,13 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.inference.coordinates import signals_at
+from sim.inference.coordinates import Name, Names, signals_at
 from sim.inference.in_water import resimulated, robot_in_water, water_of
-from sim.inference.law_error import IN_WATER, LAW_ERROR, LawError, read_law_error
-from sim.inference.searched import HELD_OUT, Searched, learned, raw, searched
+from sim.inference.law_error import IN_WATER, LAW_ERROR, LawError, learned, read_law_error
+from sim.inference.searched import HELD_OUT, Searched, raw, searched
 from sim.inference.swim_decision import Decided, Named, Numbers, decide
-from sim.inference.swim_parameters import Name, Names
-from sim.inference.swim_problem import Fit, repeated
+from sim.inference.swim_problem import Fit
 from sim.inference.swims import FLUID_THREADS, SIGNALS, Swim, SwimSimulator, names_in_files, swim_of
 from sim.inference.unlisted import SHAPES
 from sim.robot.swimmer import CONTROL_S
@@ -67,14 +66,9 @@ def diagnose_recorded_swims(
         law_error = read_law_error(IN_WATER)
         if device != "cpu":
             again = partial(
-                resimulated,
-                robot,
-                water.of(model),
-                swims,
-                water,
-                device=device,
-                threads=FLUID_THREADS,
-            )
+                resimulated, robot, water.of(model), swims, water,
+                device=device, threads=FLUID_THREADS,
+            )  # fmt: skip
     start, simulate = robot_in_water(robot, model, [in_water] if in_water else [])
     with progress_bar("diagnose") as progress:
         diagnosis = diagnose_swims(
@@ -141,30 +135,22 @@ def diagnosis_of(
     numbers = law_error.decisions
     decided = decide(raw(result, referred=referred), numbers)
     c, plain, chosen = result.problem.coordinates, result.plain, result.of(decided.offered)
-    before, after = (result.held[hypothesis.members] for hypothesis in (plain, chosen))
-    names = names_in_files(robot)
-    errors = np.array([_errors(result, one.fit) for one in (before, after)])
-    held = errors[:, 1]
-    noise = np.mean([swim.noise_sd for swim in result.problem.swims], axis=0)
-    shift = {c.columns[k].name: float(chosen.fit.x[k] - plain.fit.x[k]) for k in c.base}
-    speed = {"rmse_before": before.speed, "rmse_after": after.speed}
+    names, likely = names_in_files(robot), numbers["likely"]
+    before, after = (_errors(result, one.members) for one in (plain, chosen))
     baseline, enriched = (
         {n: {"train": a, "heldout": b} for n, a, b in zip(names, *both.tolist(), strict=True)}
-        for both in errors
+        for both in (before, after)
     )
+    noise = np.mean([swim.noise_sd for swim in result.problem.swims], axis=0)
+    mismatch = [
+        Mismatch(name, "body", float(x), float(sd), 1 - float(y / x) ** 2, {}, where="")
+        for name, x, y, sd in zip(names[: len(SIGNALS)], before[1], after[1], noise, strict=False)
+        if decided.named and y < _IMPROVED * x
+    ]
     return Diagnosis(
         verdict=decided.verdict,
-        mismatch=tuple(
-            Mismatch(
-                names[k], "body", float(held[0, k]), float(noise[k]),
-                1 - float(held[1, k] / held[0, k]) ** 2, {}, where="",
-            )
-            for k in range(len(SIGNALS))
-            if decided.named and held[1, k] < _IMPROVED * held[0, k]
-        ),
-        effects=tuple(
-            _named(result, decided, entry, numbers, speed, shift) for entry in decided.named
-        ),
+        mismatch=tuple(mismatch),
+        effects=tuple(_named(result, decided, entry, chosen, numbers) for entry in decided.named),
         rivals=tuple(Rival(name, of, p) for (name, of), p in decided.rivals[:5]),
         unknown={"body": decided.unlisted},
         baseline_fit=baseline,
@@ -174,79 +160,69 @@ def diagnosis_of(
         next_experiment=to_design(
             ("body", [name for name, _ in entry.group])
             for entry in decided.named
-            if entry.probability >= numbers["likely"]
+            if entry.probability >= likely
         ),
-        gate=tuple(_remarks(result, decided, numbers["likely"], referred=referred)),
+        gate=tuple(_remarks(result, decided, likely, referred=referred)),
         swim_rivals=_rival_sets(result, decided.sets, numbers),
-    )  # fmt: skip
+    )
 
 
-def _errors(result: Searched, fit: Fit) -> Array:
-    """Root mean square errors in the first and last part of the swims, (2, 3 + J)."""
-    parts: tuple[list[Array], list[Array]] = ([], [])
-    problem = result.problem
+def _errors(result: Searched, members: Names) -> Array:
+    """Held-out fit's root mean square errors in the first and last part of swims, (2, 3 + J)."""
+    problem, x, squares = result.problem, result.held[members].fit.x, []
     for swim in problem.swims:
-        (signals,) = signals_at(problem.coordinates, swim, fit.x[None], problem.simulate)
+        (signals,) = signals_at(problem.coordinates, swim, x[None], problem.simulate)
         cut = round(swim.t.size * (1 - HELD_OUT))
-        for part, error in zip(parts, np.split(signals - swim.signals, [cut]), strict=True):
-            part.append(error)
-    return np.array([np.sqrt(np.nanmean(np.concatenate(p) ** 2, axis=0)) for p in parts])
+        squares.append(np.split((signals - swim.signals) ** 2, [cut]))
+    parts = (np.concatenate(part) for part in zip(*squares, strict=True))
+    return np.sqrt([np.nanmean(part, axis=0) for part in parts])
 
 
 def _named(
-    result: Searched,
-    decided: Decided,
-    entry: Named,
-    numbers: Numbers,
-    speed: dict[str, float],
-    shift: dict[str, float],
+    result: Searched, decided: Decided, entry: Named, chosen: Hypothesis[Fit], numbers: Numbers
 ) -> NamedEffect:
     """A reported effect with its estimates, which are those of all reported effects together."""
-    all_names = {named.name for named in decided.named}
-    fitted = next(h for h in result.found if all_names.issubset(h.members))
-    parameters = _estimates(result, fitted, entry.name, numbers["relative"])
+    effect, component = entry.name
+    parameters = _estimates(result, decided, entry.name, numbers["relative"])
     sizes = ", ".join(
         f"{readable_name(name)} {readable(name, x.mean)}" for name, x in parameters.items()
     )
-    effect, component = entry.name
     others = ", ".join(f"{name} ({of})" for name, of in entry.group[1:])
     or_else = f" These swims do not distinguish it from {others}." if others else ""
     title = body_effect(effect).title + material_note(effect, component)
+    c, plain = result.problem.coordinates, result.plain
+    before, after = (result.held[one.members].speed for one in (plain, chosen))
     return NamedEffect(
         effect=effect,
         component=component,
         probability=entry.probability,
         group=tuple(dict.fromkeys(name for name, _ in entry.group)),
         parameters=parameters,
-        heldout={**speed, "recoverable_removed": None},
-        baseline_shift=shift,
+        heldout={"rmse_before": before, "rmse_after": after, "recoverable_removed": None},
+        baseline_shift={c.columns[k].name: float(chosen.fit.x[k] - plain.fit.x[k]) for k in c.base},
         statement=f"{title[0].upper()}{title[1:]}: {sizes}.{or_else}",
     )
 
 
 def _estimates(
-    result: Searched, fitted: Hypothesis[Fit], name: Name, relative: float
+    result: Searched, decided: Decided, name: Name, relative: float
 ) -> dict[str, Estimate]:
     """Estimates of an effect's parameters, sampled, with a ``relative`` error of its size."""
+    all_names = {named.name for named in decided.named}
+    fitted = next(h for h in result.found if all_names.issubset(h.members))
     problem, c, x = result.problem, result.problem.coordinates, fitted.fit.x
-    columns = c.of_effect(name)
-    covariance = problem.covariance(fitted.members, fitted.fit)[np.ix_(columns, columns)]
-    spread = np.square(problem.prior.imitation[columns]) + np.square(relative * x[columns])
-    rng = np.random.default_rng(0)
+    own = c.of_effect(name)
+    covariance = problem.covariance(fitted.members, fitted.fit)[np.ix_(own, own)]
+    covariance += np.diag(problem.prior.imitation[own] ** 2 + (relative * x[own]) ** 2)
     samples = np.tile(x, (_SAMPLES, 1))
-    samples[:, columns] = rng.multivariate_normal(
-        x[columns], covariance + np.diag(spread), _SAMPLES
-    )
-    samples = c.clipped(samples)
+    samples[:, own] = np.random.default_rng(0).multivariate_normal(x[own], covariance, _SAMPLES)
     samples[0] = x
-    parameters = [c.parameters(sample) for sample in samples]
+    drawn = [c.parameters(sample) for sample in c.clipped(samples)]
     out = {}
     for p in c.effects[name]:
-        values = np.array([by_name.get(p.name, 0.0) for by_name in parameters])
-        low, high = np.quantile(values, (0.05, 0.95))
-        out[p.name.rpartition(".")[2]] = Estimate(
-            float(values[0]), float(values.std()), float(low), float(high)
-        )
+        values = np.array([parameters.get(p.name, 0.0) for parameters in drawn])
+        ends = np.quantile(values, (0.05, 0.95)).tolist()
+        out[p.name.rpartition(".")[2]] = Estimate(float(values[0]), float(values.std()), *ends)
     return out
 
 
@@ -274,7 +250,7 @@ def _remarks(result: Searched, decided: Decided, likely: float, *, referred: boo
             f"times the usual one), more than its turning ({turn:.0f}). A body that rolls or "
             "heaves looks like this to an overhead camera; a planar model cannot follow it."
         )
-    lost = repeated(result.problem.swims)
+    lost = result.problem.repeated
     if lost > _REPEATED:
         yield f"{100 * lost:.0f} % of the poses equal the one before: the camera lost frames."
 
@@ -284,19 +260,18 @@ def _rival_sets(
 ) -> SwimRivals:
     """The sets of effects that may be present, given the swims."""
     problem = result.problem
+    columns, prior = problem.coordinates.columns, problem.prior
+    noises = [s.pose_noise for s in problem.swims if s.pose_noise is not None]
     chosen = _representatives(probability)
     total = sum(probability[names] for names in chosen)
-    noises = [s.pose_noise for s in problem.swims if s.pose_noise is not None]
-    columns = problem.coordinates.columns
-    imitation = zip(columns, problem.prior.imitation.tolist(), strict=True)
     return SwimRivals(
         component="body",
         period_s=CONTROL_S,
         pose_sd=np.mean([n.sd for n in noises], axis=0) if noises else np.zeros(3),
         pose_lag_s=noises[0].lag_s if noises else 0.0,
         joint_sd_rad=np.mean([swim.noise_sd[3:] for swim in problem.swims], axis=0),
-        shares=problem.prior.shares,
-        imitation={c.name: sd for c, sd in imitation},
+        shares=prior.shares,
+        imitation={c.name: sd for c, sd in zip(columns, prior.imitation.tolist(), strict=True)},
         relative=numbers["relative"],
         temperature=numbers["temperature"],
         sets=tuple(_set(result, result.of(names), probability[names] / total) for names in chosen),
@@ -317,15 +292,15 @@ def _representatives(
 
 def _set(result: Searched, hypothesis: Hypothesis[Fit], probability: float) -> SwimSet:
     """A set with its parameters and their precision."""
-    c = result.problem.coordinates
+    c, fit = result.problem.coordinates, hypothesis.fit
     free = np.flatnonzero(c.in_fit(hypothesis.members))
-    covariance = result.problem.covariance(hypothesis.members, hypothesis.fit)
+    covariance = result.problem.covariance(hypothesis.members, fit)
     return SwimSet(
         effects=tuple(
             f"{effect}.{component}" if body_effect(effect).by_material else effect
             for effect, component in sorted(hypothesis.members)
         ),
         probability=float(probability),
-        coordinates={c.columns[k].name: float(hypothesis.fit.x[k]) for k in free},
+        coordinates={c.columns[k].name: float(fit.x[k]) for k in free},
         information=np.asarray(np.linalg.inv(covariance[np.ix_(free, free)])),
     )

@@ -51,10 +51,12 @@ def emulator(
     shares = qmc.Sobol(len(free), rng=seed).random_base2((count - 1).bit_length())
     drawn = np.concatenate([centre[None], low + (high - low) * shares[: count - 1]])
     models = [with_values(model, dict(zip(names, row, strict=True))) for row in drawn]
-    by_log = np.array([name == _VISCOSITY for name in names])
+    by_log = [k for k, name in enumerate(names) if name == _VISCOSITY]
 
     def linear(rows: Array) -> Array:
-        return np.where(by_log, np.log(np.where(by_log, rows, 1.0)), rows)
+        rows = rows.copy()
+        rows[:, by_log] = np.log(rows[:, by_log])
+        return rows
 
     mean, size = linear(drawn).mean(axis=0), np.maximum(linear(drawn).std(axis=0), 1e-12)
 

@@ -17,15 +17,17 @@ import numpy as np
 
 from sim.fluid.wall import SLIP
 from sim.inference.coordinates import WATER, Coordinates
-from sim.inference.searched import learned
+from sim.inference.law_error import learned
 from sim.inference.swim_problem import SwimProblem
 from sim.inference.swims import (
     FLUID_THREADS,
     Swim,
     SwimSimulator,
     by_followed_twin,
+    distinct,
     path_of,
     steps_of,
+    swum,
     with_values,
 )
 from sim.robot.swimmer import CONTROL_S, SMAGORINSKY, Swimmer
@@ -96,6 +98,7 @@ def simulate_in_water(
     """Simulate commands of swims from their first poses in one batch; a model for all or each."""
     longest = max(len(swim.command) for swim in swims)
     padded = [np.pad(s.command, ((0, longest - len(s.command)), (0, 0)), "edge") for s in swims]
+    starts = np.array([swim.start for swim in swims])
     waters = []
     for side, settings in ((1.0, {}), *((COARSE, variant) for variant in variants.values())):
         swimmer = Swimmer(
@@ -105,12 +108,7 @@ def simulate_in_water(
             smagorinsky=SMAGORINSKY * settings.get("smagorinsky", 1.0), threads=threads,
             wall=replace(SLIP, line=settings.get("line", SLIP.line)),
         )  # fmt: skip
-        swimmer.reset(pose=np.array([swim.start for swim in swims]))
-        track = [swimmer.track()]
-        for row in np.stack(padded, axis=1)[:-1]:
-            swimmer.step(row)
-            track.append(swimmer.track())
-        waters.append(steps_of(np.moveaxis(np.array(track), 0, 1)))
+        waters.append(steps_of(swum(swimmer, np.stack(padded, axis=1), starts)))
     simulated = np.stack(waters, axis=1)
     simulated[..., :3] /= CONTROL_S
     simulated[:, 2:] -= simulated[:, 1:2]
@@ -163,11 +161,8 @@ def with_nearest_law(robot: Robot, model: Model, water: InWater, **options: Any)
     twin = by_followed_twin(robot, **options)
     prior = learned([], model, robot, twin)
     problem = SwimProblem(Coordinates.of(robot, model), swims, twin, prior)
-    parameters = problem.coordinates.parameters(problem.plain().fit.x)
-    law = vars(Coefficients.of(model.body)) | {
-        name.removeprefix("twin."): v for name, v in parameters.items() if name.startswith("twin.")
-    }
-    return replace(water, law=law)
+    fitted = problem.coordinates.model_at(problem.plain().fit.x)
+    return replace(water, law=vars(Coefficients.of(fitted.body)))
 
 
 def _displacements(velocities: Array) -> Array:
@@ -181,23 +176,19 @@ def by_twin_in_water(robot: Robot, model: Model, water: InWater, **options: Any)
     of_twin: dict[bytes, Array] = {}
 
     def run(models: Sequence[Model], swim: Swim) -> Array:
-        simulated = water.steps.get(key(swim))
-        without = [repr(replace(one, body={**one.body, "water": None})) for one in models]
-        _, unique, inverse = np.unique(without, return_index=True, return_inverse=True)
-        track = twin([models[k] for k in unique], swim)[inverse]
-        if simulated is None:
+        unique, place = distinct([replace(m, body={**m.body, "water": None}) for m in models])
+        track = twin(unique, swim)[place]
+        if key(swim) not in water.steps:
             if swim.pose is None:
                 return track  # a swim that is only planned
             raise KeyError(f"{swim.name}: no simulation of these commands in the fluid")
         start = key(swim) + swim.start.tobytes()
         if start not in of_twin:
             of_twin[start] = steps_of(twin([model], swim))[0]
-        fluid = _displacements(simulated)
-        share = np.array(
-            [[one.body.get("water", {}).get(name, 0.0) for name in water.names] for one in models]
-        )
+        fluid = _displacements(water.steps[key(swim)])
+        shares = [[m.body.get("water", {}).get(name, 0.0) for name in water.names] for m in models]
         steps = steps_of(track) + (fluid[0] - of_twin[start])
-        steps += np.einsum("ev,vtk->etk", share, fluid[1:])
+        steps += np.einsum("ev,vtk->etk", shares, fluid[1:])
         return path_of(steps, swim.start, track[:, 0, 3:])
 
     return run

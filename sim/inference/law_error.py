@@ -1,21 +1,25 @@
 """Measured error of the twin, which counts as noise in a diagnosis, and the thresholds.
 
 The error of a twin that was calibrated on a robot's swims, on other swims of the same robot in
-which nothing is missing: ``benchmarks/pool_law_error.py``, ``benchmarks/pool_decisions.py``.
+which nothing is missing: ``benchmarks/pool_law_error.py``, ``benchmarks/pool_decisions.py``; of one
+robot, from its reference swims.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from sim.inference.coordinates import Coordinates
-from sim.inference.swim_decision import BANDS, ROWS
-from sim.inference.swim_problem import SwimPrior
+from sim.inference.signal_error import BANDS, ROWS
+from sim.inference.swim_problem import Fit, SwimPrior, SwimProblem
+from sim.inference.swims import Swim, SwimSimulator
 from sim2real.arrays import Array
+from sim2real.model import Model
+from sim2real.robot import Robot
 from sim2real.structured import read_json
 
 FILE = Path(__file__).with_name("law_error.json")
@@ -26,6 +30,10 @@ RELATIVE = ("servo.kp_Nm_per_rad", "servo.kd_Nms_per_rad")
 """Kinds of columns whose sizes are relative to their values."""
 NEVER = 1e-3
 """Standard deviation of columns that the error does not imitate, in steps of derivatives."""
+_ERROR_LIMITS = (0.5, 6.0)
+"""Limits of the mean square error of the twin for one robot, relative to the usual one."""
+_SCALES = (0.7, 0.85, 1.0, 1.2, 1.4, 1.7)
+"""Scales of the variation between swims of a robot that are compared."""
 
 
 @dataclass(frozen=True)
@@ -47,17 +55,17 @@ class LawError:
 
     def prior(self, coordinates: Coordinates) -> SwimPrior:
         """Prior of a swim of a robot without reference swims."""
-        columns, never = coordinates.columns, NEVER * coordinates.each("step")
+        columns = coordinates.columns
 
         def sizes(table: Mapping[str, float], others: Array) -> Array:
             """The size of each column; that of a gain is relative to its nominal value."""
-            scale = [abs(c.nominal) if c.kind in RELATIVE else 1.0 for c in columns]
-            known = [c.kind in table for c in columns]
-            return np.where(
-                known, scale * np.array([table.get(c.kind, 0) for c in columns]), others
-            )
+            known = [
+                table.get(c.kind, np.nan) * (abs(c.nominal) if c.kind in RELATIVE else 1.0)
+                for c in columns
+            ]
+            return np.where(np.isnan(known), others, known)
 
-        imitation = sizes(self.imitated, never)
+        imitation = sizes(self.imitated, NEVER * coordinates.each("step"))
         mean = [self.usual.get(c.kind, c.nominal + self.shift.get(c.kind, 0.0)) for c in columns]
         covariance = np.diag(np.square(sizes(self.unknown, imitation)))
         return SwimPrior(np.array(mean), covariance, imitation, self.shares)
@@ -73,3 +81,72 @@ def read_law_error(path: Path = FILE) -> LawError:
 
 LAW_ERROR = read_law_error()
 """The error from the file of this package."""
+
+
+def learned(
+    references: Sequence[Swim],
+    model: Model,
+    robot: Robot,
+    simulate: SwimSimulator,
+    law_error: LawError = LAW_ERROR,
+) -> SwimPrior:
+    """A robot's prior, from reference swims in which nothing is missing, or that of all robots."""
+    coordinates = Coordinates.of(robot, model)
+    usual = law_error.prior(coordinates)
+    if not references:
+        return replace(usual, shares=law_error.decisions["unreferred"] * law_error.shares)
+    problem = SwimProblem(coordinates, references, simulate, usual)
+    plain = problem.plain()
+    misfit = problem.misfit(plain.members, plain.fit)
+    shares = law_error.shares * np.sqrt(np.clip(misfit, *_ERROR_LIMITS))
+    common, _, _ = _common(problem, plain.fit, usual)
+    problem = SwimProblem(coordinates, references, simulate, replace(usual, mean=common))
+    common, spread, scale = _common(problem, problem.at(problem.centre(frozenset())), usual)
+    imitation = scale * usual.imitation
+    return SwimPrior(common, spread + np.diag(imitation**2), imitation, shares)
+
+
+def _common(problem: SwimProblem, fit: Fit, usual: SwimPrior) -> tuple[Array, Array, float]:
+    """Parameters common to a robot's swims (F,), covariance, and likeliest scale of the rest.
+
+    A linear mixed model about a fit (Laird and Ware, Biometrics 38 (1982) 963).
+    """
+    variance = np.square(usual.imitation)
+    least = np.square(NEVER * problem.coordinates.each("step"))
+    precision = np.diag(1 / np.maximum(np.diag(usual.covariance) - variance, least))
+    point = fit.x + problem.coordinates.seems
+    slopes, rows = problem.of_swims(fit.slope), problem.of_swims(fit.rows)
+    flat = [(s.reshape(-1, point.size), r.ravel()) for s, r in zip(slopes, rows, strict=True)]
+    parts = [(slope.T @ slope, slope.T @ row) for slope, row in flat]
+
+    def at_scale(scale: float) -> tuple[float, Array, Array]:
+        """Evidence of a scale, and the estimate with its covariance."""
+        curvature, slope, inner = together(parts, scale**2 * variance)
+        curvature, gradient = curvature + precision, precision @ (usual.mean - point) - slope
+        evidence = 0.0
+        for (_, swim_gradient), of_swim in zip(parts, inner, strict=True):
+            size = np.log(scale**2 * variance).sum() - np.linalg.slogdet(of_swim)[1]
+            evidence += 0.5 * float(swim_gradient @ of_swim @ swim_gradient) - 0.5 * float(size)
+        posterior = np.asarray(np.linalg.inv(curvature))
+        evidence += 0.5 * float(gradient @ posterior @ gradient)
+        evidence -= 0.5 * float(np.linalg.slogdet(curvature)[1])
+        return evidence, point + posterior @ gradient, posterior
+
+    estimates = {scale: at_scale(scale) for scale in _SCALES}
+    likeliest = max(_SCALES, key=lambda scale: estimates[scale][0])
+    return *estimates[likeliest][1:], likeliest
+
+
+def together(
+    parts: Sequence[tuple[Array, Array]], variance: Array
+) -> tuple[Array, Array, list[Array]]:
+    """Combine swims whose parameters vary about common ones (a linear mixed model).
+
+    From curvature (F, F) and gradient (F,) of each swim's loss at one point, and the variance (F,)
+    of a swim's parameters, to those of the sum, and the covariance of each swim's deviations.
+    """
+    covariances = [np.asarray(np.linalg.inv(normal + np.diag(1 / variance))) for normal, _ in parts]
+    pairs = list(zip(parts, covariances, strict=True))
+    curvature = sum(n - n @ covariance @ n for (n, _), covariance in pairs)
+    gradient = sum(g - n @ covariance @ g for (n, g), covariance in pairs)
+    return np.asarray(curvature), np.asarray(gradient), covariances

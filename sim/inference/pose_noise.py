@@ -42,9 +42,7 @@ class PoseNoise:
         """Random samples of this noise, shape (..., T, 3)."""
         white = rng.standard_normal((*shape, 3)) * self.sd
         weight = _filter_weight(self.lag_s, period_s)
-        if weight == 0.0:
-            return np.asarray(white)
-        state = np.take(white, [0], axis=-2) * weight
+        state = white[..., :1, :] * weight
         out, _ = lfilter([1 - weight], [1, -weight], white, axis=-2, zi=state)
         return np.asarray(out)
 
@@ -65,20 +63,14 @@ def pose_noise(poses: Array, period_s: float) -> PoseNoise | None:
     angle = 2 * np.pi * period_s * hertz[high]
     power = np.abs(np.fft.rfft(third * window, axis=0)[high]) ** 2 / np.sum(window**2)
     flat = power / (2 * np.sin(angle / 2))[:, None] ** 6
+    weight = np.array([[_filter_weight(lag, period_s)] for lag in LAGS_S])
+    response = (1 - weight) ** 2 / (1 + weight**2 - 2 * weight * np.cos(angle))
+    square = np.mean(flat / response[:, :, None], axis=1)
+    log_power = np.log(square).sum(axis=1) * angle.size + 3 * np.log(response).sum(axis=1)
     # the window correlates neighbouring frequencies: about two thirds are independent
-    independent = 2 / 3
-    likelihood, sizes = [], []
-    for lag in LAGS_S:
-        weight = _filter_weight(lag, period_s)
-        response = (1 - weight) ** 2 / (1 + weight**2 - 2 * weight * np.cos(angle))
-        square = np.mean(flat / response[:, None], axis=0)
-        sizes.append(np.sqrt(square))
-        log_power = np.log(square) * len(angle) + np.log(response).sum()
-        likelihood.append(-independent * float(log_power.sum()))
-    log_ratio = np.array(likelihood) - likelihood[0]
-    best = int(np.argmax(log_ratio))
-    if log_ratio[best] < _SURE:
-        best = 0
-    while LAGS_S[best] > _LONGEST_S:  # longer time constants differ in the size of the noise only
-        best -= 1
-    return PoseNoise(sizes[best], float(LAGS_S[best]), np.clip(log_ratio, -_MOST, _MOST))
+    log_ratio = -2 / 3 * (log_power - log_power[0])
+    # longer time constants differ in the size of the noise only
+    longest = np.searchsorted(LAGS_S, _LONGEST_S, side="right") - 1
+    best = min(int(np.argmax(log_ratio)), int(longest)) if log_ratio.max() >= _SURE else 0
+    colour = np.clip(log_ratio, -_MOST, _MOST)
+    return PoseNoise(np.sqrt(square[best]), float(LAGS_S[best]), colour)

@@ -22,6 +22,8 @@ from sim.robot.swimmer import CONTROL_S
 from sim2real.arrays import Array, Index
 from sim2real.velocity import body_velocity
 
+ROWS, BANDS = ("surge", "sway", "yaw rate", "joints"), ("slow", "beat", "fast")
+"""Signals and frequency bands of the error."""
 BANDS_HZ = (0.35, 1.8)
 """Limits between the bands slow, beat and fast."""
 _LEAK = 0.003

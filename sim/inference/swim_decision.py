@@ -11,12 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from sim.inference.coordinates import WATER_FORCES
-from sim.inference.swim_parameters import Name, Names
+from sim.inference.coordinates import WATER_FORCES, Name, Names
+from sim.inference.signal_error import BANDS, ROWS
 from sim2real.diagnose.result import Verdict
 
-ROWS, BANDS = ("surge", "sway", "yaw rate", "joints"), ("slow", "beat", "fast")
-"""Signals and frequency bands of the misfit."""
 Terms = dict[str, float]
 """Terms of a sum of log odds, by name, before weights."""
 Numbers = Mapping[str, float]
@@ -76,134 +74,134 @@ class _Sets:
             return 0.0
         return float(self.held_out[rest][0] - self.held_out[members][0])
 
-    def group(self, name: Name, gain: float) -> tuple[Name, ...]:
+    def gain(self, name: Name) -> float:
+        """Evidence that an effect adds to the others of the best set."""
+        rest = self.evidence.get(self.best - {name}, min(self.evidence.values()))
+        return float(self.evidence[self.best] - rest + self.numbers["cost"])
+
+    def group(self, name: Name, *, wide: bool) -> tuple[Name, ...]:
         """The effect, and those that have nearly its evidence in its place in the best set.
 
         The force of an effect on the water is predicted with an error in proportion to it, so that
-        differences of less than a share of the evidence that it adds do not identify the effect.
+        differences of less than a share of the evidence that it adds do not identify the effect. If
+        ``wide``, with the next likeliest effects until it is likely, unless that takes many.
         """
         numbers, close = self.numbers, []
         for other in self.effects - self.best:
-            replaced = self.best - {name} | {other}
-            if replaced in self.evidence:
-                limit = numbers["alike"]
-                if name[0] in WATER_FORCES or other[0] in WATER_FORCES:
-                    limit = max(numbers["alike_imitated"], numbers["alike_share"] * gain)
-                behind = self.evidence[self.best] - self.evidence[replaced]
-                if behind < limit:
-                    close.append((behind, other))
-        return (name, *(other for _, other in sorted(close)))
-
-    def widened(self, group: tuple[Name, ...]) -> tuple[Name, ...]:
-        """The group with the next likeliest effects until it is likely, unless that takes many."""
-        target, most = self.numbers["group_likely"], self.numbers["group_most"]
+            limit = numbers["alike"]
+            if name[0] in WATER_FORCES or other[0] in WATER_FORCES:
+                share = numbers["alike_share"] * self.gain(name)
+                limit = max(numbers["alike_imitated"], share)
+            replaced = self.evidence.get(self.best - {name} | {other}, -np.inf)
+            behind = self.evidence[self.best] - replaced
+            if behind < limit:
+                close.append((behind, other))
+        group = (name, *(other for _, other in sorted(close)))
         others = sorted(self.effects - set(group), key=lambda name: -self.likelihood((name,)))
-        wide = group
-        for name in others:
-            if self.likelihood(wide) >= target or len(wide) >= most:
-                break
-            wide = (*wide, name)
-        return wide if self.likelihood(wide) >= target else group
+        most = int(numbers["group_most"]) - len(group)
+        for count in range(most + 1) if wide else ():
+            if self.likelihood((*group, *others[:count])) >= numbers["group_likely"]:
+                return (*group, *others[:count])
+        return group
 
     def predicting(self, likely: Mapping[Name, float]) -> Names:
         """Likely effects that each increase the held-out likelihood, unsure ones the speed's."""
         members, numbers = frozenset(likely), self.numbers
-        while members in self.held_out and members:
-            speed = self.held_out[members][1]
-            smaller = []
-            for name in members:
-                rest = members - {name}
-                if rest not in self.held_out:
-                    continue
+        if members not in self.held_out:
+            return frozenset()
+        smaller = []
+        for name in members:
+            rest = members - {name}
+            if rest in self.held_out:
                 least = (1 - numbers["held_better"]) * max(self.held_out[rest][1], 1e-9)
-                slow = speed > least and likely[name] < numbers["held_sure"]
+                slow = self.held_out[members][1] > least and likely[name] < numbers["held_sure"]
                 if slow or self.held_out_gain(members, rest) < numbers["held_gain"]:
                     smaller.append(rest)
-            if not smaller:
-                return members
-            members = max(smaller, key=lambda subset: self.evidence.get(subset, -np.inf))
-        return members if members in self.held_out else frozenset()
+        if not smaller:
+            return members
+        best = max(smaller, key=lambda subset: self.evidence.get(subset, -np.inf))
+        return self.predicting({name: likely[name] for name in best})
 
 
 def decide(raw: Mapping[str, Any], numbers: Numbers) -> Decided:
     """Decide which effects are reported, and the verdict, from the output of ``searched.raw``."""
     sets = _Sets(raw, numbers)
-    evidence, best = sets.evidence, sets.best
-    lead = evidence[best] - evidence[frozenset()]
-    shapes = {
-        fit: {name: gain - numbers[f"usual {name.split()[0]}"] for name, gain in gains.items()}
-        for fit, gains in raw["nameless"].items()
-    }
-    shape, shape_gain = max(shapes["best"].items(), key=lambda item: item[1])
-    usual = [[numbers[f"usual misfit {row} {band}"] for band in BANDS] for row in ROWS]
-    misfit = float(np.max(np.log(np.maximum(np.array(raw["misfit"]) / usual, 1e-9))))
-    misfit = float(np.clip(misfit, -2, 4))
-    unreferred = 0.0 if raw.get("referred", True) else 1.0
-    # The evidence of a shape is divided by that of the best set: small errors in a strong effect
-    # leave residuals that a shape fits, above all a change of the robot.
-    size = max(lead, 0.0) + numbers["evidence_scale"]
-    largest = {True: 0.0, False: 0.0}
-    for name, gain in shapes["best"].items():
-        change = name.startswith("change")
-        largest[change] = max(largest[change], gain)
-    terms = {
-        "constant": 1.0,
-        "shape gain": float(np.log1p(largest[False] / size)),
-        "misfit": misfit,
-        "set evidence": _log(lead),
-        "held-out gain": _log(sets.held_out_gain(best, frozenset())),
-        "change gain": float(np.log1p(largest[True] / size)),
-        "unreferred": unreferred,
-        "shape lead": _log(max(shapes["plain"].values()) - lead),
-    }
-    unlisted = _logistic(terms, "unlisted", numbers)
+    terms, shape, shape_gain = _terms(raw, sets)
+    unlisted, likely = _logistic(terms, "unlisted", numbers), numbers["likely"]
     anything = _logistic(terms, "anything", numbers)
-    flagged = anything >= numbers["flagged from"] or unlisted >= numbers["likely"]
-    fewest, cost = min(evidence.values()), numbers["cost"]
-    gains = {n: evidence[best] - evidence.get(best - {n}, fewest) + cost for n in best}
-    named = []
-    for name, gain in gains.items():
-        group = sets.group(name, gain)
-        if flagged and len(best) == 1:
-            group = sets.widened(group)
-        ahead = evidence[best] - max(evidence[s] for s in evidence if not s & set(group))
-        imitator, most = float(name[0] in WATER_FORCES), max(gains.values())
+    flagged = anything >= numbers["flagged from"] or unlisted >= likely
+    most, found = max(map(sets.gain, sets.best)), []
+    for name in sets.best:
+        group, gain = sets.group(name, wide=flagged and len(sets.best) == 1), sets.gain(name)
+        behind = max(evidence for s, evidence in sets.evidence.items() if not s & set(group))
+        imitator = float(name[0] in WATER_FORCES)
         of_name = {
             "constant": 1.0,
-            "lead": _log(ahead),
+            "lead": _log(sets.evidence[sets.best] - behind),
             "group size": float(np.log(len(group))),
             "shape over gain": max(_log(shape_gain) - _log(gain), 0.0),
-            "misfit": misfit,
-            "held-out gain": _log(sets.held_out_gain(best, best - {name})),
+            "misfit": terms["misfit"],
+            "held-out gain": _log(sets.held_out_gain(sets.best, sets.best - {name})),
             "imitator": imitator,
             "behind largest gain": _log(most) - _log(gain),
             "unlisted": -float(np.log(max(1 - unlisted, 1e-3))),
             "camera": float(name[1] == "camera"),
-            "set evidence": _log(lead),
+            "set evidence": terms["set evidence"],
             "not largest gain": float(gain < most),
             "gain": _log(gain),
-            "unreferred imitator": imitator * unreferred,
+            "unreferred imitator": imitator * terms["unreferred"],
         }
         probability = min(_logistic(of_name, "name", numbers), numbers["most_certain"])
-        named.append(Named(name, group, probability, gain, of_name))
-    certain = {e.name: e.probability for e in named if e.probability >= numbers["likely"]}
+        found.append(Named(name, group, probability, gain, of_name))
+    others = sets.effects - {n for effect in found for n in effect.group}
+    rivals = sorted(((name, sets.likelihood((name,))) for name in others), key=lambda r: (-r[1], r))
+    named = sorted((e for e in found if e.probability >= numbers["stated"]), key=lambda e: -e.gain)
+    certain = {e.name: e.probability for e in found if e.probability >= likely}
     offered = sets.predicting(certain)
-    others = sets.effects - {n for effect in named for n in effect.group}
-    rivals = [(name, sets.likelihood((name,))) for name in others]
-    rivals.sort(key=lambda rival: (-rival[1], rival[0]))
-    named = [effect for effect in named if effect.probability >= numbers["stated"]]
-    named.sort(key=lambda effect: -effect.gain)
-    # only effects of the offered model count as explained
-    likely = [effect for effect in named if effect.probability >= numbers["likely"]]
     verdict: Verdict = "explained"
-    if likely and (unlisted >= numbers["likely"] or {e.name for e in likely} - offered):
+    # only effects of the offered model count as explained
+    if certain and (unlisted >= likely or certain.keys() - offered):
         verdict = "partly_explained"
-    elif not likely:
+    elif not certain:
         verdict = "unexplained" if flagged else "consistent"
-    elif any(len(effect.group) > 1 for effect in likely):
+    elif any(len(e.group) > 1 for e in found if e.name in certain):
         verdict = "ambiguous"
-    found = tuple(named), offered, tuple(rivals)
-    return Decided(verdict, *found, unlisted, shape, terms, sets.probability)
+    return Decided(
+        verdict, tuple(named), offered, tuple(rivals), unlisted, shape, terms, sets.probability
+    )
+
+
+def _terms(raw: Mapping[str, Any], sets: _Sets) -> tuple[Terms, str, float]:
+    """Terms of the log odds of an effect, listed or not; the shape with most evidence, and that."""
+    numbers, lead = sets.numbers, sets.evidence[sets.best] - sets.evidence[frozenset()]
+    plain, best = (
+        {
+            name: gain - numbers[f"usual {name.split()[0]}"]
+            for name, gain in raw["nameless"][f].items()
+        }
+        for f in ("plain", "best")
+    )
+    shape = max(best, key=lambda name: best[name])
+    usual = [[numbers[f"usual misfit {row} {band}"] for band in BANDS] for row in ROWS]
+    misfit = float(np.max(np.log(np.maximum(np.array(raw["misfit"]) / usual, 1e-9))))
+    # The evidence of a shape is divided by that of the best set: small errors in a strong effect
+    # leave residuals that a shape fits, above all a change of the robot.
+    size = max(lead, 0.0) + numbers["evidence_scale"]
+    of_change, of_others = (
+        max([0.0, *(gain for name, gain in best.items() if name.startswith("change") is change)])
+        for change in (True, False)
+    )
+    terms = {
+        "constant": 1.0,
+        "shape gain": float(np.log1p(of_others / size)),
+        "misfit": float(np.clip(misfit, -2, 4)),
+        "set evidence": _log(lead),
+        "held-out gain": _log(sets.held_out_gain(sets.best, frozenset())),
+        "change gain": float(np.log1p(of_change / size)),
+        "unreferred": float(not raw.get("referred", True)),
+        "shape lead": _log(max(plain.values()) - lead),
+    }
+    return terms, shape, best[shape]
 
 
 def _logistic(terms: Terms, curve: str, numbers: Numbers) -> float:

@@ -17,7 +17,7 @@ from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim.twin.kernel import start_twin
 from sim.twin.law import Coefficients
 from sim.twin.twin import Twin
-from sim2real.arrays import Array
+from sim2real.arrays import Array, Index
 from sim2real.body import listed, observed, values
 from sim2real.errors import InputError
 from sim2real.model import Model
@@ -108,24 +108,24 @@ def swim_of(recording: Recording, robot: Robot) -> Swim:
     row = np.searchsorted(recording.t, t + 1e-6, side="right") - 1
     order = [recording.joints.index(joint.name) for joint in robot.joints]
 
-    def resampled(column: Array, delay_s: float = 0.0) -> Array:
-        finite = np.isfinite(column)
-        if finite.sum() < _REST:
-            return np.full(t.size, np.nan)
-        return np.interp(t, recording.t[finite] + delay_s, column[finite])
+    def resampled(columns: Array, delay_s: float = 0.0) -> Array:
+        out = np.full((t.size, columns.shape[1]), np.nan)
+        for k, column in enumerate(columns.T):
+            finite = np.isfinite(column)
+            if finite.sum() >= _REST:
+                out[:, k] = np.interp(t, recording.t[finite] + delay_s, column[finite])
+        return out
 
     pose = np.stack([recording.columns[name] for name in POSES], axis=1)
     pose[:, 2] = np.where(np.isfinite(pose[:, 2]), np.unwrap(np.nan_to_num(pose[:, 2])), np.nan)
-    grid = np.stack([resampled(column) for column in pose.T], axis=1)
+    grid = resampled(pose)
+    joints = resampled(recording.position[:, order], context_of(recording)["sample_delay_s"])
     same = np.all(np.diff(pose[np.isfinite(pose).all(axis=1)], axis=0) == 0, axis=1)
-    late_s = context_of(recording)["sample_delay_s"]
-    joints = np.stack([resampled(recording.position[:, k], late_s) for k in order], axis=1)
     repeated = float(same.mean()) if same.size else 0.0
     regular = len(recording.t) == t.size and np.allclose(recording.t, t, atol=1e-4)
     # the spectrum of the noise is known only where no pose was resampled or lost
-    noise = None
-    if regular and np.isfinite(pose).all() and repeated == 0.0:
-        noise = pose_noise(grid, CONTROL_S)
+    known = regular and np.isfinite(pose).all() and repeated == 0.0
+    noise = pose_noise(grid, CONTROL_S) if known else None
     if noise is None or noise.lag_s == 0:
         noise = PoseNoise(_noise_sd(grid), 0.0, None if noise is None else noise.colour)
     samples = noise.drawn(np.random.default_rng(0), (t.size,), CONTROL_S)
@@ -199,19 +199,28 @@ def by_twin(robot: Robot, **options: Any) -> Simulator:  # noqa: ANN401 - those 
     return run
 
 
+def of_swims(simulator: Simulator) -> SwimSimulator:
+    """A simulator of swims from their first pose."""
+    return lambda models, swim: simulator(models, swim.command, swim.start)
+
+
 def by_fluid(robot: Robot, **options: Any) -> Simulator:  # noqa: ANN401 - those of Swimmer
     """The lattice-Boltzmann fluid as a simulator."""
 
     def run(models: Sequence[Model], command: Array, start: Array) -> Array:
-        swimmer = Swimmer(robot, models, n_envs=len(models), **options)
-        swimmer.reset(pose=start)
-        track = [swimmer.track()]
-        for sent in tqdm(command[:-1], desc="fluid", unit="step", disable=None, leave=False):
-            swimmer.step(sent)
-            track.append(swimmer.track())
-        return np.moveaxis(np.array(track), 0, 1)
+        return swum(Swimmer(robot, models, n_envs=len(models), **options), command, start)
 
     return run
+
+
+def swum(swimmer: Swimmer, commands: Array, start: Array) -> Array:
+    """Tracks (E, T, 3 + J) in the fluid, by set-points for all (T, J), or for each (T, E, J)."""
+    swimmer.reset(pose=start)
+    track = [swimmer.track()]
+    for sent in tqdm(commands[:-1], desc="fluid", unit="step", disable=None, leave=False):
+        swimmer.step(sent)
+        track.append(swimmer.track())
+    return np.moveaxis(np.array(track), 0, 1)
 
 
 def by_followed_twin(robot: Robot, **settings: Any) -> SwimSimulator:  # noqa: ANN401 - options of Twin
@@ -280,6 +289,13 @@ def path_of(steps: Array, start: Array, joint: Array) -> Array:
     first = np.broadcast_to(joint, (E, joint.shape[-1]))[:, None]
     angles = np.concatenate([first, steps[..., 3:]], axis=1)
     return np.concatenate([place, heading[..., None], angles], axis=2)
+
+
+def distinct(models: Sequence[Model]) -> tuple[list[Model], Index]:
+    """Models (U) without repetitions, and the place of each of the E models among them, (E,)."""
+    texts = [repr(model) for model in models]
+    _, first, place = np.unique(texts, return_index=True, return_inverse=True)
+    return [models[k] for k in first], place
 
 
 def with_values(model: Model, parameters: Mapping[str, float]) -> Model:

@@ -6,6 +6,7 @@ Each family adds a few columns with a prior to those of a fit, and so has an evi
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -15,6 +16,7 @@ from sim.inference.swim_problem import Fit, SwimProblem
 from sim.inference.swims import Swim
 from sim2real.arrays import Array, Index
 from sim2real.inference.selection import Members
+from sim2real.velocity import turned
 
 SHAPES = {
     "wave": "an oscillating flow in the pool's frame, e.g. waves",
@@ -24,9 +26,7 @@ SHAPES = {
     "change": "a change of the robot during the swim",
 }
 """Families, and their possible causes."""
-_WAVES_HZ = tuple(float(f) for f in np.arange(0.1, 0.84, 0.04))
 _WAVE_M_S = 0.03
-_GUSTS = tuple(float(x) for x in np.arange(0.1, 1.0, 0.1))
 _GUST_S, _GUST_SIZES = 1.5, (0.02, 0.02, 0.15)
 _SHAKEN_HZ = (0.5, 0.8, 1.1, 1.4)
 _BEND_RAD, _BEND_M = 0.2, 0.04
@@ -39,13 +39,13 @@ _CHANGED_AT, _CHANGES = (0.1, 0.35, 0.5, 0.65), (1.0, 4.0)
 def gains(problem: SwimProblem, members: Members, fit: Fit) -> dict[str, float]:
     """Log-evidence that each shape adds to a fit, by name."""
     prior = problem.precision(members)
-    slope = fit.near.slope
-    inner = np.linalg.inv(fit.near.normal + prior)
+    inner = np.linalg.inv(fit.normal + prior)
     deviation = fit.x - problem.centre(members)
-    residual = fit.rows - slope @ (inner @ (slope.T @ fit.rows + prior @ deviation))
+    step = inner @ (fit.slope.T @ fit.rows + prior @ deviation)
+    residual = fit.rows - fit.slope @ step
     out = {}
     for name, columns in _shapes(problem, fit):
-        coupling = slope.T @ columns
+        coupling = fit.slope.T @ columns
         gradient = columns.T @ residual
         matrix = np.eye(columns.shape[1]) + columns.T @ columns - coupling.T @ inner @ coupling
         gain = 0.5 * float(gradient @ np.linalg.solve(matrix, gradient))
@@ -55,25 +55,20 @@ def gains(problem: SwimProblem, members: Members, fit: Fit) -> dict[str, float]:
 
 def _shapes(problem: SwimProblem, fit: Fit) -> Iterator[tuple[str, Array]]:
     """Columns of each shape, in prior standard deviations, weighted, (n, m); sizes of each swim."""
-
-    def weighted(shape: Callable[[Swim], Array]) -> list[Array]:
-        parts = zip(problem.swims, problem.blocks, problem.weights, strict=True)
-        return [blocks.weighted(shape(swim), weights) for swim, blocks, weights in parts]
-
-    for hertz in _WAVES_HZ:
-        yield f"wave {hertz:.2f}", block_diag(*weighted(lambda s, f=hertz: _wave(s, f)))  # type: ignore[misc]
-    for share in _GUSTS:
-        yield f"gust {share:.1f}", block_diag(*weighted(lambda s, x=share: _gust(s, x)))  # type: ignore[misc]
-    yield "bend", np.concatenate(weighted(_bend))
-    yield "mount", block_diag(*weighted(_mount))
+    shapes: dict[str, Callable[[Swim], Array]] = {"bend": _bend, "mount": _mount}
+    shapes |= {f"wave {f:.2f}": partial(_wave, hertz=f) for f in np.arange(0.1, 0.84, 0.04)}
+    shapes |= {f"gust {x:.1f}": partial(_gust, share=x) for x in np.arange(0.1, 1.0, 0.1)}
+    parts = list(zip(problem.swims, problem.blocks, problem.weights, strict=True))
+    for name, shape in shapes.items():
+        columns = [blocks.weighted(shape(swim), weights) for swim, blocks, weights in parts]
+        yield name, np.concatenate(columns) if name == "bend" else block_diag(*columns)
     c = problem.coordinates
     gains = [k for k, column in enumerate(c.columns) if column.kind == "servo.kp_Nm_per_rad"]
     chosen = [c.place[name] for name in _CHANGED] + gains
-    steps = fit.near.slope[:, chosen] * c.each("step")[chosen]
+    steps = fit.slope[:, chosen] * c.each("step")[chosen]
     for share, slowly, factor in product(_CHANGED_AT, (False, True), _CHANGES):
         after = [
-            np.repeat(_progress(b.block, share, slowly=slowly), w.shape[1])
-            for b, w in zip(problem.blocks, problem.weights, strict=True)
+            np.repeat(_progress(b.block, share, slowly=slowly), w.shape[1]) for _, b, w in parts
         ]
         name = f"change {'since' if slowly else 'at'} {share:g} by {factor:g}"
         yield name, steps * factor * np.concatenate(after)[:, None]
@@ -88,15 +83,18 @@ def _progress(block: Index, share: float, *, slowly: bool) -> Array:
     return np.clip((block + 0.5 - begun) / max(count - begun, 1), 0.0, 1.0)
 
 
+def _flows(swim: Swim, directions: Array) -> Array:
+    """Changes of the signals by velocities (m, T, 2) in the pool's frame, shape (m, T, 3 + J)."""
+    out = np.zeros((len(directions), *swim.signals.shape))
+    out[..., :2] = turned(directions, -swim.heading)
+    return out
+
+
 def _wave(swim: Swim, hertz: float) -> Array:
     """An oscillating flow in the pool's frame."""
     angle = 2 * np.pi * hertz * swim.t
-    wave = np.stack([np.cos(angle), np.sin(angle)])
-    c, s = np.cos(swim.heading), np.sin(swim.heading)
-    out = np.zeros((4, *swim.signals.shape))
-    out[:2, :, 0], out[:2, :, 1] = c * wave, -s * wave
-    out[2:, :, 0], out[2:, :, 1] = s * wave, c * wave
-    return _WAVE_M_S * out
+    flows = [np.outer(wave(angle), axis) for axis in np.eye(2) for wave in (np.cos, np.sin)]
+    return _flows(swim, _WAVE_M_S * np.array(flows))
 
 
 def _gust(swim: Swim, share: float) -> Array:
@@ -125,12 +123,9 @@ def _bend(swim: Swim) -> Array:
 
 def _mount(swim: Swim) -> Array:
     """A camera that turns at a constant rate about any point."""
-    out = np.zeros((3, *swim.signals.shape))
-    c, s = np.cos(swim.heading), np.sin(swim.heading)
+    pose = np.zeros((swim.t.size, 3)) if swim.pose is None else swim.pose
+    around = _MOUNT_RAD_S * np.stack([-pose[:, 1], pose[:, 0]], axis=1)
+    steady = [np.tile(_MOUNT_M_S * axis, (swim.t.size, 1)) for axis in np.eye(2)]
+    out = _flows(swim, np.array([around, *steady]))
     out[0, :, 2] = _MOUNT_RAD_S
-    if swim.pose is not None:
-        x, y = _MOUNT_RAD_S * swim.pose[:, :2].T
-        out[0, :, 0], out[0, :, 1] = s * x - c * y, c * x + s * y
-    out[1, :, 0], out[1, :, 1] = _MOUNT_M_S * c, -_MOUNT_M_S * s
-    out[2, :, 0], out[2, :, 1] = _MOUNT_M_S * s, _MOUNT_M_S * c
     return out

@@ -18,7 +18,7 @@ from sim2real.appendages import area_error
 from sim2real.arrays import Array
 from sim2real.body import values
 from sim2real.effects import BODY
-from sim2real.effects.body_effect import BodyEffect, Forces
+from sim2real.effects.body_effect import SwimmingBody, no_forces
 from sim2real.model import Model
 from sim2real.robot import Robot
 
@@ -30,8 +30,9 @@ _GAUSS = (-1 / sqrt(12), 1 / sqrt(12))
 class Outside:
     """Effects on E robots in addition to the fluid's forces; shapes may be broadcast.
 
-    The fields are those of ``body_effect.Forces`` with E as first dimension; ``com``, ``side`` and
-    ``trim`` have the shape (E, 1), ``point`` is of ``points_of``, ``laden`` of ``added_mass_of``.
+    The fields are those of ``body_effect.no_forces`` with E as first dimension; ``com``,
+    ``side`` and ``trim`` have the shape (E, 1), ``point`` is of ``points_of``, ``laden`` of
+    ``added_mass_of``.
     """
 
     com: Array
@@ -55,7 +56,7 @@ def outside(
     forces = [_forces(robot, model, hull) for model in models]
     points = points_of(robot, hull, surface_m)
     stacked = {
-        field.name: np.array([getattr(robot, field.name) for robot in forces], dtype=np.float64)
+        field.name: np.array([of_robot[field.name] for of_robot in forces])
         for field in fields(Outside)
         if field.name not in ("point", "laden")
     }
@@ -66,36 +67,33 @@ def outside(
     return Outside(**stacked)
 
 
-def _forces(robot: Robot, model: Model, hull: Hull) -> Forces:
-    forces = Forces(
+def _forces(robot: Robot, model: Model, hull: Hull) -> dict[str, Array]:
+    body = SwimmingBody(
         np.asarray(hull.length),
         tuple(link.material or "" for link in robot.links),
         np.pi * float((hull.half_width * hull.half_height).max()),
         WATER_KG_M3,
     )
-    parameters = values(model)
+    forces, parameters = no_forces(len(robot.links)), values(model)
     for effect in BODY:
         names = [name for name in parameters if name.partition(".")[0] == effect.name]
-        for material in dict.fromkeys(name.split(".")[1] for name in names if effect.by_material):
-            effect.act(forces, _named(parameters, effect, f"{effect.name}.{material}"), material)
-        if names and not effect.by_material:
-            effect.act(forces, _named(parameters, effect, effect.name), "")
+        for material in dict.fromkeys(n.split(".")[1] if effect.by_material else "" for n in names):
+            prefix = f"{effect.name}.{material}" if effect.by_material else effect.name
+            stated = {p.name: parameters.get(f"{prefix}.{p.name}", 0.0) for p in effect.parameters}
+            for name, added in effect.adds(body, stated, material).items():
+                forces[name] = forces[name] + np.asarray(added)
     return forces
 
 
-def _with_drag(points: Array, forces: Forces, hull: Hull) -> Array:
+def _with_drag(points: Array, forces: Mapping[str, Array], hull: Hull) -> Array:
     """The points of the appendages with the errors of their areas, and the area that they lack."""
     out = points.copy()
-    out[:, :, 2:] *= 1 + forces.areas
+    out[:, :, 2:] *= 1 + forces["areas"]
     start = np.concatenate([[-hull.half_width[0, 0]], np.cumsum(hull.length)[:-1]])
-    behind = forces.lacking_at - hull.half_width[0, 0]
+    behind = forces["lacking_at"] - hull.half_width[0, 0]
     k = int(np.searchsorted(start[1:], behind, side="right"))
-    out[k, -1] = behind - max(start[k], 0.0), 0.0, *(2 * [0.5 * WATER_KG_M3 * forces.lacking])
+    out[k, -1] = behind - max(start[k], 0.0), 0.0, *(2 * [0.5 * WATER_KG_M3 * forces["lacking"]])
     return out
-
-
-def _named(parameters: Mapping[str, float], effect: BodyEffect, prefix: str) -> dict[str, float]:
-    return {p.name: parameters.get(f"{prefix}.{p.name}", 0.0) for p in effect.parameters}
 
 
 def surface_drag(outside: Outside, hull: Hull) -> Array:
@@ -117,7 +115,7 @@ def points_of(robot: Robot, hull: Hull, surface_m: float) -> Array:
 
     Distance behind the start of the link's axis, behind the nose, and to the left of it in m, and
     drag along and across the link in N s2/m2. The last point of each link is unused, for
-    ``body_effect.Forces.area``. ``surface_m`` is the surface's height above the hull's middle.
+    the area that the file lacks. ``surface_m`` is the surface's height above the hull's middle.
     """
     most = 2 * max(len(link.appendages) for link in robot.links) + 1
     out = np.zeros((len(robot.links), most, 4))

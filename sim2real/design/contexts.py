@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -42,9 +43,8 @@ def read_contexts(path: str | os.PathLike[str]) -> tuple[Context, ...]:
     top = Fields(path, "", read_toml(path))
     top.refuse_unknown(["contexts"])
     contexts = tuple(_context(entry) for entry in top.tables("contexts"))
-    names = [context.name for context in contexts]
-    for name in names:
-        if names.count(name) > 1:
+    for name, times in Counter(context.name for context in contexts).most_common(1):
+        if times > 1:
             raise InputError(path, "contexts", f"two contexts named {name!r}", "one of each name")
     return contexts
 
@@ -64,8 +64,8 @@ def _context(entry: Fields) -> Context:
     return found
 
 
-def _ratio(entry: Fields, name: str, most: float = 1000.0) -> float:
+def _ratio(entry: Fields, name: str) -> float:
     value = entry.number(name, 1.0, above=0.0)
-    if not 1 / most <= value <= most:
-        raise entry.error(name, f"a ratio from {1 / most:g} to {most:g}")
+    if not 1e-3 <= value <= 1e3:
+        raise entry.error(name, "a ratio from 0.001 to 1000")
     return value

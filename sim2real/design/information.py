@@ -14,21 +14,23 @@ set-point that is lost is an error of the command by its last change.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.signal import cont2discrete, lfilter
+from scipy.special import ndtri
 
 from sim2real.arrays import Array
 from sim2real.design.limits import CommandLimits
-from sim2real.identification.priors import MOTOR_SHEET, motor_prior
+from sim2real.identification.priors import MOTOR_SHEET, MotorPrior, motor_prior
 from sim2real.identification.problem import ServoProblem, plain_row
 from sim2real.inference.normal import Z90
 from sim2real.inference.parameters import Parameter, column, kronecker
 from sim2real.model import JointModel, Model
 from sim2real.recording import PER_INERTIA, Load
-from sim2real.robot import Robot, Servo
+from sim2real.robot import Robot
 from sim2real.servo.parameters import BASE, COLUMNS, LINE, ROTOR, ROTOR_INERTIA, joint_row
 from sim2real.servo.trace import Trace, shows_inertia
 
@@ -76,43 +78,53 @@ def prior_of(
     """The prior of one joint, by D ``draws`` of servos from its model, or else its data sheet."""
     joint = robot.joint(limits.joint)
     assert joint is not None
-    rng = np.random.default_rng(seed)
     fitted = None if model is None else model.joints.get(limits.joint)
-    # usual noise of a sensor and the quantisation that the data sheet states
-    white = float(np.hypot(1e-3, limits.resolution_rad / np.sqrt(12)))
-    if model is None or fitted is None:
-        load = load or PER_INERTIA
-        names, rows = _from_sheet(joint.servo, load, draws, rng)
-        noise = AngleError(white, white)
-    else:
-        names, rows = _from_model(fitted, load, draws, rng)
+    if load is None and fitted is not None:
         own = PER_INERTIA if fitted.per_inertia else Load(fitted.inertia_kgm2)
-        load = load or fitted.load or own
-        figures = model.fit.get(f"{limits.joint}.position_rad", {})
-        white = float(figures.get("noise") or white)
-        train = float(figures.get("train") or white)
-        noise = AngleError(white, float(np.sqrt(max(train**2 - white**2, (0.3 * white) ** 2))))
-        for effect in (*fitted.effects, *model.effects):
-            if effect.effect == "packet_loss":
-                noise = replace(noise, lost=max(noise.lost, effect.parameters["probability"]))
-    return ServoPrior(names, rows, _prior_sd(names, joint.servo, load), load, noise)
+        load = fitted.load or own
+    load = load or PER_INERTIA
+    still = command_trace(load, np.zeros(2), 1.0)
+    motor = motor_prior(joint.servo, [still]) if joint.servo.states(*MOTOR_SHEET) else None
+    names, row, root = _of_sheet(motor, still) if fitted is None else _of_model(fitted, load)
+    points = ndtri(kronecker(draws, len(names), np.random.default_rng(seed)))
+    points[0] = 0.0
+    rows, columns = np.tile(row, (draws, 1)), [COLUMNS.index(name) for name in names]
+    rows[:, columns] *= np.exp(points @ root.T)
+    known = {} if motor is None else {p.name: p.prior_sd for p in motor.parameters if p.log}
+    sd = np.array([known.get(name, np.inf) for name in names])
+    return ServoPrior(names, rows, sd, load, _noise(model, limits))
 
 
-def _from_model(
-    joint: JointModel,
-    load: Load | None,
-    draws: int,
-    rng: np.random.Generator,
-    *,
-    widest_sd: float = 0.5,
-) -> tuple[tuple[str, ...], Array]:
-    """Draws from the intervals of a fitted joint and their correlations, as logarithms."""
+def _noise(model: Model | None, limits: CommandLimits) -> AngleError:
+    """Errors of the angle that the model states, or else usual ones and the sheet's rounding."""
+    white = float(np.hypot(1e-3, limits.resolution_rad / np.sqrt(12)))
+    joint = None if model is None else model.joints.get(limits.joint)
+    if model is None or joint is None:
+        return AngleError(white, white)
+    figures = model.fit.get(f"{limits.joint}.position_rad", {})
+    white = float(figures.get("noise") or white)
+    train = float(figures.get("train") or white)
+    losses = [
+        effect.parameters["probability"]
+        for effect in (*joint.effects, *model.effects)
+        if effect.effect == "packet_loss"
+    ]
+    by_angle = float(np.sqrt(max(train**2 - white**2, (0.3 * white) ** 2)))
+    return AngleError(white, by_angle, lost=max([AngleError.lost, *losses]))
+
+
+Belief = tuple[tuple[str, ...], Array, Array]
+"""Names of F parameters, a servo (P,), and a root of the covariance of their logarithms (F, F)."""
+
+
+def _of_model(joint: JointModel, load: Load, *, widest_sd: float = 0.5) -> Belief:
+    """A fitted joint, with its intervals and their correlations."""
     row = joint_row(joint, load)
     known = [n for n in joint.interval if n in COLUMNS and row[COLUMNS.index(n)] > 0]
     names = tuple(dict.fromkeys([*GAINS, *known]))
-    columns = [COLUMNS.index(name) for name in names]
+    values = row[[COLUMNS.index(name) for name in names]]
     ends = np.array([joint.interval.get(name, (0.0, np.inf)) for name in names])
-    half = (ends[:, 1] - ends[:, 0]) / (2 * Z90 * np.maximum(row[columns], 1e-12))
+    half = (ends[:, 1] - ends[:, 0]) / (2 * Z90 * np.maximum(values, 1e-12))
     sd = np.where(np.isfinite(half), np.minimum(half, widest_sd), widest_sd)
     correlation = np.eye(len(names))
     for pair, value in joint.correlation.items():
@@ -120,55 +132,38 @@ def _from_model(
         if len(places) == 2:
             correlation[places, places[::-1]] = value
     level, directions = np.linalg.eigh(correlation)
-    root = directions * np.sqrt(np.maximum(level, 0.0))
-    offset = sd * (rng.standard_normal((draws, len(names))) @ root.T)
-    offset[0] = 0.0
-    rows = np.tile(row, (draws, 1))
-    rows[:, columns] = row[columns] * np.exp(offset)
-    return names, rows
+    return names, row, sd[:, None] * directions * np.sqrt(np.maximum(level, 0.0))
 
 
-def _from_sheet(
-    servo: Servo,
-    load: Load,
-    draws: int,
-    rng: np.random.Generator,
+def _of_sheet(
+    motor: MotorPrior | None,
+    still: Trace,
     *,
-    frequency_rad_s: tuple[float, float] = (12.0, 50.0),
-    damping_ratio: tuple[float, float] = (0.4, 1.3),
-    latency_s: tuple[float, float] = (0.01, 0.08),
-) -> tuple[tuple[str, ...], Array]:
-    """Servos that the data sheet allows, of usual frequencies, damping ratios and latencies."""
-    points = kronecker(draws, 6, rng)
-    low, high = np.log([frequency_rad_s, damping_ratio, latency_s]).T
-    frequency, damping, latency = np.exp(low + points[:, :3] * (high - low)).T
+    frequency_rad_s: tuple[float, float] = (24.0, 0.4),
+    damping_ratio: tuple[float, float] = (0.72, 0.34),
+    latency_s: tuple[float, float] = (0.028, 0.6),
+) -> Belief:
+    """A servo as the data sheet says, of usual frequency, damping ratio and latency.
+
+    Each has its median and the standard deviation of its logarithm.
+    """
+    usual = np.array([frequency_rad_s, damping_ratio, latency_s])
+    frequency, damping, latency = usual[:, 0]
     line: tuple[str, ...] = ()
-    rows = np.tile(plain_row(0.0, 0.0, 0.0), (draws, 1))
-    if servo.states(*MOTOR_SHEET):
-        still = command_trace(load, np.zeros(2), 1.0)
+    row = plain_row(0.0, 0.0, latency)
+    row[3:5] = still.load.inertia_kgm2, still.load.gravity_Nm
+    # kp is the frequency squared, kd twice the ratio times the frequency, times the inertia
+    root = np.array([[2.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]) * usual[:, 1]
+    if motor is not None:
         line = (*LINE, ROTOR) if shows_inertia([still]) else LINE
-        prior = motor_prior(servo, [still])
-        parameters = [prior[name] for name in line]
-        # of the prior's rotors the lighter ones: stated loads mostly include the rotor
-        middle = np.array([0.5, 0.5, 1.0])[: len(line)]
-        share = np.sqrt(12) * (points[:, 3 : 3 + len(line)] - middle)
-        motor = np.exp(column(parameters, "nominal") + share * column(parameters, "prior_sd"))
-        rows[:, [COLUMNS.index(name) for name in line]] = motor
-    inertia = load.inertia_kgm2 + rows[:, ROTOR_INERTIA]
-    rows[:, 0] = frequency**2 * inertia
-    rows[:, 1] = 2 * damping * frequency * inertia
-    rows[:, 2] = latency
-    rows[:, 3:5] = load.inertia_kgm2, load.gravity_Nm
-    return (*GAINS, *line), rows
-
-
-def _prior_sd(names: tuple[str, ...], servo: Servo, load: Load) -> Array:
-    """Standard deviations of the logarithms in the prior of the fit, shape (F,)."""
-    known: dict[str, float] = {}
-    if servo.states(*MOTOR_SHEET):
-        prior = motor_prior(servo, [command_trace(load, np.zeros(2), 1.0)])
-        known = {p.name: p.prior_sd for p in prior.parameters if p.log}
-    return np.array([known.get(name, np.inf) for name in names])
+        parameters = [motor[name] for name in line]
+        middle, sd = column(parameters, "nominal"), column(parameters, "prior_sd")
+        # lighter rotors than usual: stated loads mostly include the rotor
+        middle[2:] -= sd[2:]
+        row[[COLUMNS.index(name) for name in line]] = np.exp(middle)
+        root = block_diag(root, np.diag(sd))
+    row[:2] = np.array([frequency**2, 2 * damping * frequency]) * (row[3] + row[ROTOR_INERTIA])
+    return (*GAINS, *line), row, root
 
 
 def command_trace(load: Load, command: Array, period_s: float) -> Trace:
@@ -177,8 +172,15 @@ def command_trace(load: Load, command: Array, period_s: float) -> Trace:
     return Trace("next", "next", t, command, np.zeros(t.size), load, np.ones(t.size, dtype=bool))
 
 
-@dataclass(frozen=True)
-class Precision:
+def rms_torque(load: Load, angle: Array, period_s: float) -> Array:
+    """Root mean square of the torque that moves a load along angles (..., T), N m, shape (...)."""
+    acceleration = np.zeros_like(angle)
+    acceleration[..., 1:-1] = np.diff(angle, 2, axis=-1) / period_s**2
+    torque = load.inertia_kgm2 * acceleration + load.gravity_Nm * np.sin(angle)
+    return np.asarray(np.sqrt(np.mean(torque**2, axis=-1)))
+
+
+class Precision(NamedTuple):
     """Expected precision of F parameters after each of N commands, for D servos."""
 
     covariance: Array  # covariance of the logarithms of the parameters, shape (N, D, F, F)
@@ -188,7 +190,7 @@ class Precision:
     def half_width(self) -> Array:
         """Half-widths of 90 % intervals, relative to the parameters, shape (N, D, F)."""
         variance = np.diagonal(self.covariance, axis1=2, axis2=3)
-        return np.asarray(Z90 * np.sqrt(np.maximum(variance, 0.0)))
+        return np.asarray(Z90 * np.sqrt(np.maximum(variance, 1e-18)))
 
 
 @dataclass(frozen=True)
@@ -198,29 +200,17 @@ class Information:
     prior: ServoPrior  # prior of the servo
     limits: CommandLimits  # limits of the commands
     features: int = 16  # number of Fourier features of the errors that repeat with the angle
-    every: int = 2  # number of samples per sample at which these errors are evaluated
     # weight of the mean logarithm of all widths; that of the widest of the gains is 1
     others: float = 0.3
 
-    @cached_property
-    def _waves(self) -> tuple[Array, Array]:
-        """Wave numbers and phases, the same for all commands that are compared."""
-        rng = np.random.default_rng(0)
-        number = rng.standard_normal(self.features) / self.prior.noise.angle_scale_rad
-        return number, rng.uniform(0, 2 * np.pi, self.features)
-
     def __call__(self, commands: Array) -> Array:
-        """Score of each command (N, T), shape (N,), see ``scores``."""
-        return self.scores(self.statistics(commands, 1)[:, 0])
-
-    def scores(self, statistics: Array) -> Array:
-        """Scores of commands with these statistics (N, K), shape (N,).
+        """Score of each command (N, T), shape (N,).
 
         Minus logarithms of the widest interval of gains and latency and of all, averaged over the
         prior, less a penalty beyond the torque budget.
         """
-        precision = self.precision_of(statistics)
-        log_width = np.log(np.maximum(precision.half_width, 1e-9))
+        precision = self.precision(commands)
+        log_width = np.log(precision.half_width)
         worst = log_width[:, :, : len(GAINS)].max(axis=2)
         score = -(worst + self.others * log_width.mean(axis=2)).mean(axis=1)
         known = self.prior.load is not PER_INERTIA
@@ -229,42 +219,26 @@ class Information:
 
     def precision(self, commands: Array) -> Precision:
         """Expected precision after each command (N, T)."""
-        return self.precision_of(self.statistics(commands, 1)[:, 0])
-
-    def statistics(self, commands: Array, parts: int) -> Array:
-        """Statistics (N, parts, K) of equal parts of commands (N, T); those of all are the sum."""
+        noise, period = self.prior.noise, self.limits.period_s
         angle, slopes = self.sensitivities(commands)
-        load, (number, phase) = self.prior.load, self._waves
-        torque2 = load_torque(load, angle, self.limits.period_s) ** 2
-        by_command = self._by_command(slopes)
+        transposed = np.swapaxes(slopes, 2, 3)
+        # the same waves for all commands that are compared
+        rng = np.random.default_rng(0)
+        number = rng.standard_normal(self.features) / noise.angle_scale_rad
+        phase = rng.uniform(0, 2 * np.pi, self.features)
+        some = np.s_[:, :, ::2]  # errors by the angle change slowly
+        wave = np.cos(angle[some][..., None] * number + phase)
+        by_angle = 2 * np.swapaxes(slopes[some], 2, 3) @ wave
         change2 = np.diff(commands, axis=1, prepend=commands[:, :1])[:, None, :, None] ** 2
-        found = []
-        for part in np.array_split(np.arange(commands.shape[1]), parts):
-            slope, response = slopes[:, :, part], by_command[:, :, part]
-            some = np.s_[:, :, :: self.every]  # errors by the angle change slowly
-            wave = np.cos(angle[:, :, part][some][..., None] * number + phase)
-            sums = (
-                np.swapaxes(slope, 2, 3) @ slope,
-                np.swapaxes(response, 2, 3) @ (change2[:, :, part] * response),
-                self.every * np.swapaxes(slope[some], 2, 3) @ wave,
-                torque2[:, :, part].sum(axis=2)[..., None] / commands.shape[1],
-            )
-            found.append(np.concatenate([x.reshape(*x.shape[:2], -1) for x in sums], axis=2))
-        return np.stack(found, axis=1).reshape(len(commands), parts, -1)
-
-    def precision_of(self, statistics: Array) -> Precision:
-        """Expected precision after commands with these statistics (N, K)."""
-        noise, D, F = self.prior.noise, *self.prior.values.shape
-        each = statistics.reshape(len(statistics), D, -1)
-        gram = each[:, :, : F * F].reshape(-1, D, F, F)
-        by_loss = each[:, :, F * F : 2 * F * F].reshape(-1, D, F, F)
-        by_angle = each[:, :, 2 * F * F : -1].reshape(-1, D, F, self.features)
-        white = noise.white_rad
+        by_loss = self._by_command(slopes)
+        white2 = noise.white_rad**2
         prior = np.diag(1 / self.prior.sd**2 + 1e-3)  # so that it has an inverse
+        gram = transposed @ slopes / white2
         repeated = noise.angle_rad**2 * 2 / self.features * by_angle @ np.swapaxes(by_angle, 2, 3)
-        inverse = np.linalg.inv(gram / white**2 + prior)
-        middle = gram / white**2 + (repeated + noise.lost * by_loss) / white**4 + prior
-        return Precision(inverse @ middle @ inverse, np.sqrt(each[:, :, -1]))
+        lost = noise.lost * np.swapaxes(by_loss, 2, 3) @ (change2 * by_loss)
+        inverse = np.linalg.inv(gram + prior)
+        covariance = inverse @ (gram + (repeated + lost) / white2**2 + prior) @ inverse
+        return Precision(covariance, rms_torque(self.prior.load, angle, period))
 
     def sensitivities(self, commands: Array) -> tuple[Array, Array]:
         """Angles in rad, shape (N, D, T), and derivatives by logarithms, shape (N, D, T, F)."""
@@ -289,10 +263,3 @@ class Information:
             backwards = slopes[:, d, ::-1]
             out[:, d] = lfilter(numerator.ravel(), denominator, backwards, axis=1)[:, ::-1]
         return out
-
-
-def load_torque(load: Load, angle: Array, period_s: float) -> Array:
-    """Torque that moves a load along angles (..., T), N m, same shape."""
-    acceleration = np.zeros_like(angle)
-    acceleration[..., 1:-1] = np.diff(angle, 2, axis=-1) / period_s**2
-    return np.asarray(load.inertia_kgm2 * acceleration + load.gravity_Nm * np.sin(angle))

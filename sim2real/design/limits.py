@@ -16,12 +16,8 @@ from sim2real.robot import Joint, Robot
 
 PERIOD_S = 0.02
 """Sample period of the recorder, s."""
-FINEST_RAD = 1e-4
-"""Resolution of the commands where the data sheet states no position step, rad."""
-_FINEST_STEP_RAD = 1e-6
-"""Finest resolution of the commands."""
-REST_S = 1.0
-"""Time at rest at either end, s, in which the noise of the sensor is estimated (``noise``)."""
+_FINEST_RAD, _FINEST_STEP_RAD = 1e-4, 1e-6
+"""Resolution of the commands where the data sheet states no position step, and the finest, rad."""
 CONTINUOUS_SHARE = 0.5
 """Largest root mean square of the torque, as a share of the stall torque.
 
@@ -40,8 +36,8 @@ class CommandLimits:
     torque_Nm: float = np.inf
     rms_torque_Nm: float = np.inf  # largest root mean square of the torque over the recording, N m
     period_s: float = PERIOD_S  # time between set-points, s
-    resolution_rad: float = FINEST_RAD  # set-points are multiples of it, rad
-    rest_s: float = REST_S  # time at rest at the beginning and at the end, s
+    resolution_rad: float = _FINEST_RAD  # set-points are multiples of it, rad
+    rest_s: float = 1.0  # time at rest at either end, in which the noise is estimated, s
     # angle beyond which the servo cannot hold its load, rad; infinite where that does not narrow
     # the range
     largest_held_rad: float = np.inf
@@ -49,11 +45,8 @@ class CommandLimits:
     @property
     def ticks(self) -> tuple[int, int]:
         """Smallest and largest set-point in units of the resolution."""
-        low, high = self.position_rad
-        return (
-            int(np.ceil(low / self.resolution_rad - 1e-9)),
-            int(np.floor(high / self.resolution_rad + 1e-9)),
-        )
+        low, high = np.array(self.position_rad) / self.resolution_rad
+        return int(np.ceil(low - 1e-9)), int(np.floor(high + 1e-9))
 
     @property
     def most_ticks(self) -> int:
@@ -112,10 +105,9 @@ def limits_of(robot: Robot, joint: str | None = None) -> CommandLimits:
         rate_rad_s=servo.no_load_speed_rad_s,
         torque_Nm=torque,
         rms_torque_Nm=CONTINUOUS_SHARE * torque,
-        resolution_rad=max(step, _FINEST_STEP_RAD) if step else FINEST_RAD,
+        resolution_rad=max(step, _FINEST_STEP_RAD) if step else _FINEST_RAD,
     )
-    lowest, highest = limits.ticks
-    if highest - lowest < 2:
+    if limits.ticks[1] - limits.ticks[0] < 2:
         found = f"{low:g} to {high:g} rad, less than two steps of {limits.resolution_rad:g} rad"
         raise InputError(where[0], f"{where[1]}.limits_rad", found, "a wider range")
     if limits.most_ticks < 1:
@@ -146,8 +138,7 @@ def holding(limits: CommandLimits, load: Load, robot: Robot) -> CommandLimits:
         return limits
     ends = max(low, -most), min(high, most)
     narrowed = replace(limits, position_rad=ends, largest_held_rad=most)
-    lowest, highest = narrowed.ticks
-    if highest - lowest < 2:
+    if narrowed.ticks[1] - narrowed.ticks[0] < 2:
         servo = _joint(robot, limits.joint).servo
         nearest = min(max(low, 0.0), high)
         found = f"{load.gravity_Nm * abs(np.sin(nearest)):.3g} N m or more to hold the load"

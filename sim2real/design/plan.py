@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.design.information import Information, Precision, ServoPrior, prior_of
 from sim2real.design.limits import CommandLimits, check_seconds, holding, limits_of
-from sim2real.design.search import SearchResult, best
+from sim2real.design.search import SearchResult, best, part
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
 from sim2real.importers.options import loads_of
@@ -24,6 +24,50 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MODEL, SHEET = "model", "data sheet"
+
+
+@dataclass(frozen=True)
+class NextRecording(NotebookDisplay):
+    """Commands to record next; subclasses state what they are expected to tell."""
+
+    commands: Recording  # without measured angles; its metadata state what is expected
+    # command line, versions, seed and SHA-256 of the inputs
+    provenance: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
+
+    @property
+    def t(self) -> Array:
+        """Times of the set-points in s, shape (T,)."""
+        return self.commands.t
+
+    def recording(self, name: str = "next") -> Recording:
+        """The commands as a recording without measured angles, and what they are to tell."""
+        metadata = {**self.commands.metadata, "provenance": dict(self.provenance)}
+        return replace(self.commands, name=name, metadata=metadata)
+
+    def plot(self, joint: str | None = None) -> Figure:
+        """Command of one joint, by default the first, and its precision over time."""
+        figure: Figure = from_report("design_plot.design_figure")(self, joint)
+        return figure
+
+
+def commands_without_angles(
+    t: Array,
+    commands: Mapping[str, Array],
+    metadata: Mapping[str, Any],
+    **fields: Any,  # noqa: ANN401
+) -> Recording:
+    """Commands (T,) by joint as a recording without angles; ``fields`` are the recording's."""
+    command = np.stack(list(commands.values()), axis=1)
+    return Recording(
+        "next",
+        joints=tuple(commands),
+        t=t,
+        command=command,
+        position=np.full(command.shape, np.nan),
+        source="Commands to record next, by 'sim2real design'.",
+        metadata=dict(metadata),
+        **fields,
+    )
 
 
 @dataclass(frozen=True)
@@ -51,7 +95,7 @@ class JointDesign:
 
         The geometric mean over the servos of the prior.
         """
-        return dict(zip(self.prior.names, _mean(self.precision)[0].tolist(), strict=True))
+        return dict(zip(self.prior.names, _mean(self.precision).tolist(), strict=True))
 
     @property
     def determined(self) -> dict[str, bool]:
@@ -67,19 +111,19 @@ class JointDesign:
 
     def over_time(self, parts: int) -> Array:
         """Expected half-widths after each of some equal parts of the command, shape (parts, F)."""
-        sums = self.information.statistics(self.found.command[None], parts)[0]
-        return _mean(self.information.precision_of(np.cumsum(sums, axis=0)))
+        command = self.found.command
+        ends = np.linspace(0, command.size, parts + 1)[1:].astype(int)
+        return np.array([_mean(self.information.precision(command[None, :end])) for end in ends])
 
     def content(self) -> dict[str, Any]:
         """What is expected, for the JSON file."""
-        torque = float(self.precision.rms_torque_Nm.mean())
         determined, expected = self.determined, dict[str, dict[str, Any]]()
-        values = dict(zip(self.prior.names, self.prior.values[0], strict=True))
-        for name, width in self.expected.items():
+        values = self.prior.values[0].tolist()
+        for (name, width), value in zip(self.expected.items(), values, strict=True):
             expected[name] = {"relative_half_width": width, "determined": determined[name]}
             if self.origin == MODEL:
-                value = float(values[name])
                 expected[name]["interval"] = [value * (1 - width), value * (1 + width)]
+        torque = float(self.precision.rms_torque_Nm.mean())
         return {
             "belief": self.origin,
             "expected": expected,
@@ -92,53 +136,10 @@ class JointDesign:
 
 
 @dataclass(frozen=True)
-class Design(NotebookDisplay):
-    """Commands to record next."""
+class Design(NextRecording):
+    """Commands that determine the servos' parameters best."""
 
-    t: Array  # times in s, shape (T,)
     joints: Mapping[str, JointDesign]  # the design of each joint
-    # command line, versions, seed and SHA-256 of the inputs
-    provenance: Mapping[str, Any] = field(default_factory=dict)
-
-    def recording(self, name: str = "next") -> Recording:
-        """The commands as a recording without measured angles.
-
-        ``metadata["design"]`` states for each joint the expected 90 % intervals.
-        """
-        design = {name: joint.content() for name, joint in self.joints.items()}
-        commands = [joint.found.command for joint in self.joints.values()]
-        loads = {name: joint.prior.load for name, joint in self.joints.items()}
-        return next_recording(
-            name, self.t, commands, loads, {"design": design, "provenance": dict(self.provenance)}
-        )
-
-    def plot(self, joint: str | None = None) -> Figure:
-        """Command, and intervals over time, of one joint."""
-        name = next(iter(self.joints)) if joint is None else joint
-        figure: Figure = from_report("design_plot.design_figure")(self.t, name, self.joints[name])
-        return figure
-
-
-def next_recording(
-    name: str,
-    t: Array,
-    commands: Sequence[Array],
-    loads: Mapping[str, Load],
-    metadata: Mapping[str, Any],
-) -> Recording:
-    """Commands (T,) of joints, of which ``loads`` has the names, as a recording without angles."""
-    command = np.stack(commands, axis=1)
-    return Recording(
-        name=name,
-        kind="servo",
-        joints=tuple(loads),
-        t=t,
-        command=command,
-        position=np.full(command.shape, np.nan),
-        loads={joint: load for joint, load in loads.items() if load is not PER_INERTIA},
-        source="Commands to record next, by 'sim2real design'.",
-        metadata=dict(metadata),
-    )
 
 
 def design(
@@ -148,8 +149,8 @@ def design(
     seconds: float = 30.0,
     loads: Mapping[str, Load] | None = None,
     seed: int = 0,
-    drawn: int = 320,
-    rounds: int = 8,
+    drawn: int = 128,
+    rounds: int = 64,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Design:
     """Commands that determine the servos best, within the limits of the robot.
@@ -158,26 +159,27 @@ def design(
     are as their data sheets say; loads are by default the model's. In a recording of ``seconds``,
     ``drawn`` random commands are compared and the best varied in ``rounds``.
     """
-    names = _designed_joints(robot, model)
-    limits = {name: limits_of(robot, name) for name in names}
+    limits = {name: limits_of(robot, name) for name in _designed_joints(robot, model)}
     for joint in limits.values():
         check_seconds(seconds, joint)
-    designs = {}
+    joints = {}
     for k, (name, joint) in enumerate(limits.items()):
         prior = prior_of(robot, model, joint, load=(loads or {}).get(name), seed=seed)
-        held = holding(joint, prior.load, robot)
-        information = Information(prior, held)
-
-        def report(share: float, done: int = k) -> None:
-            progress((done + share) / len(names))
-
-        rng = np.random.default_rng([seed, k])
+        information = Information(prior, holding(joint, prior.load, robot))
         found = best(
-            information, held, seconds, rng=rng, drawn=drawn, rounds=rounds, progress=report
-        )
+            information, information.limits, seconds, rng=np.random.default_rng([seed, k]),
+            drawn=drawn, rounds=rounds, progress=part(progress, k, len(limits)),
+        )  # fmt: skip
         precision = information.precision(found.command[None])
-        designs[name] = JointDesign(information, found, precision, MODEL if model else SHEET)
-    return Design(next(iter(limits.values())).times(seconds), designs)
+        joints[name] = JointDesign(information, found, precision, MODEL if model else SHEET)
+    commands = commands_without_angles(
+        next(iter(limits.values())).times(seconds),
+        {name: joint.found.command for name, joint in joints.items()},
+        {"design": {name: joint.content() for name, joint in joints.items()}},
+        kind="servo",
+        loads={n: x.prior.load for n, x in joints.items() if x.prior.load is not PER_INERTIA},
+    )
+    return Design(commands, joints)
 
 
 def stated_loads(
@@ -198,5 +200,5 @@ def _designed_joints(robot: Robot, model: Model | None) -> list[str]:
 
 
 def _mean(precision: Precision) -> Array:
-    """Geometric mean over servos of the half-widths, shape (N, F)."""
-    return np.asarray(np.exp(np.log(np.maximum(precision.half_width, 1e-9)).mean(axis=1)))
+    """Geometric mean over servos of the half-widths after one command, shape (F,)."""
+    return np.asarray(np.exp(np.log(precision.half_width[0]).mean(axis=0)))

@@ -1,9 +1,4 @@
-"""Search for the best command: random ones, the best assembly of their parts, local refinement.
-
-Where the score depends on sums over time, as information does, the parts of all random commands are
-exchanged one at a time as long as the score rises, without further simulation (the exchange
-algorithm of optimal design: Fedorov, Theory of Optimal Experiments, Academic Press, 1972, ch. 3).
-"""
+"""Search for the best command: random ones, of which the best are varied."""
 
 from __future__ import annotations
 
@@ -18,15 +13,9 @@ from scipy.ndimage import gaussian_filter1d
 from sim2real.arrays import Array
 from sim2real.design.limits import CommandLimits
 
-Family = Callable[[np.random.Generator, Array, float], Array]
-"""A function of the generator, the times (T,) in s from 0 and the highest frequency in Hz, which
-returns a signal of about -1 to 1, shape (T,)."""
-
 HIGHEST_HZ = 8.0
 """Highest frequency of the commands; natural frequencies of servos are mostly below it."""
 SLOWEST_HZ = 0.1
-_PART_S = 2.0
-"""Length of the parts of commands that are exchanged, s."""
 _ELITE = 8
 """Number of the best commands that are varied."""
 
@@ -54,10 +43,10 @@ def chirp(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
 def holds(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
     """Random levels, each held for a random time."""
     shortest, longest = np.sort(_log_uniform(rng, 0.5 / highest_hz, 1.5, 2))
-    levels, place = _intervals(rng, t, shortest, longest)
-    size = rng.uniform(0.2, 1.0, levels) ** rng.choice([0.3, 1.0])
-    side = rng.choice([-1.0, 1.0], levels)
-    return np.asarray((side * size)[place])
+    ends = np.cumsum(rng.uniform(shortest, longest, int(t[-1] / shortest) + 2))
+    size = rng.uniform(0.2, 1.0, ends.size) ** rng.choice([0.3, 1.0])
+    side = rng.choice([-1.0, 1.0], ends.size)
+    return np.asarray((side * size)[np.searchsorted(ends, t, side="right")])
 
 
 def spline(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
@@ -68,43 +57,17 @@ def spline(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
     return _scaled(make_interp_spline(knots, np.sign(size) * np.abs(size) ** 0.5)(t), rng)
 
 
-FAMILIES: tuple[Family, ...] = (multisine, chirp, holds, spline)
+FAMILIES = (multisine, chirp, holds, spline)
+"""Signals of about -1 to 1, (T,), by a generator, times (T,) from 0 and the highest frequency."""
 
 
-def draw(
-    rng: np.random.Generator,
-    count: int,
-    limits: CommandLimits,
-    seconds: float,
-    *,
-    mixed: float = 0.4,
-    highest_hz: float = HIGHEST_HZ,
-) -> Array:
-    """Random commands within the limits, rad, (N, T); the share ``mixed`` has parts of several."""
+def draw(rng: np.random.Generator, count: int, limits: CommandLimits, seconds: float) -> Array:
+    """Random commands within the limits, rad, shape (N, T)."""
     t = limits.times(seconds)
     size = limits.reach_rad * rng.uniform(0.4, 1.1, (count, 1))
-    shapes = [_shape(rng, t, k, mixed, highest_hz) for k in range(count)]
+    families = rng.integers(len(FAMILIES), size=count)
+    shapes = [FAMILIES[k](rng, t, HIGHEST_HZ) for k in families]
     return limits.within(limits.rest_rad + size * np.array(shapes))
-
-
-def _shape(rng: np.random.Generator, t: Array, k: int, mixed: float, highest_hz: float) -> Array:
-    if rng.random() >= mixed:
-        return FAMILIES[k % len(FAMILIES)](rng, t, highest_hz)
-    parts = np.array_split(np.arange(t.size), int(rng.integers(2, 7)))
-    out = np.empty(t.size)
-    for part in parts:
-        family = FAMILIES[int(rng.integers(len(FAMILIES)))]
-        out[part] = family(rng, t[part] - t[part[0]], highest_hz)
-    return out
-
-
-def _intervals(
-    rng: np.random.Generator, t: Array, shortest: float, longest: float
-) -> tuple[int, np.ndarray]:
-    """Number of intervals of random lengths, and the interval of each time (T,)."""
-    ends = np.cumsum(rng.uniform(shortest, longest, int(t[-1] / shortest) + 2))
-    place = np.searchsorted(ends, t, side="right")
-    return int(place[-1]) + 1, place
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float, count: int) -> Array:
@@ -132,49 +95,37 @@ class SearchResult:
     evaluated: int  # number of commands that were evaluated
 
 
+def part(progress: Callable[[float], None], k: int, parts: int) -> Callable[[float], None]:
+    """The progress of the k-th of equal parts."""
+    return lambda share: progress((k + share) / parts)
+
+
 def best(
-    objective: Any,  # noqa: ANN401 - see below
+    objective: Callable[[Array], Array],
     limits: Limits,
     seconds: float,
     *,
     rng: np.random.Generator,
     draw: Draw = draw,
-    drawn: int = 256,
-    rounds: int = 8,
-    batch: int = 32,
-    assemblies: int = 8,
-    start: Array | None = None,
+    drawn: int = 128,
+    rounds: int = 64,
+    batch: int = 8,
     progress: Callable[[float], None] = lambda share: None,
 ) -> SearchResult:
-    """The command with the highest score among random ones, assemblies of their parts, variations.
+    """The command with the highest score among random ones and variations of the best.
 
     The ``objective`` goes from commands (N, T), or (N, T, J) of several joints, in rad to their
-    scores (N,); -inf excludes a command. If it depends on sums over time, ``statistics`` returns
-    these for equal parts of commands, shape (N, parts, K), and ``scores`` the scores of sums (N,
-    K); then parts of the best ``assemblies`` commands are exchanged. ``drawn`` random commands are
-    compared with ``start`` (M, T), ``batch`` at a time, and the best varied in ``rounds`` of that
-    many; ``progress`` is called with the share that is done.
+    scores (N,); -inf excludes a command. ``drawn`` random commands are scored, ``batch`` at a time,
+    and the best varied in ``rounds`` of that many; ``progress`` is called with the share that is
+    done.
     """
     pool = draw(rng, drawn, limits, seconds)
-    if start is not None:
-        pool = np.concatenate([limits.within(start), pool])
-    batches = np.array_split(pool, max(1, -(-len(pool) // batch)))
-    total, evaluated = len(batches) + rounds + 1, len(pool)
-    additive = hasattr(objective, "statistics")
-    scores: list[Array] = []
-    sums: list[Array] = []
+    batches = np.array_split(pool, max(1, -(-drawn // batch)))
+    total, scores = len(batches) + rounds, []
     for k, some in enumerate(batches):
-        if additive:
-            sums.append(objective.statistics(some, max(round(seconds / _PART_S), 1)))
-        scores.append(objective.scores(sums[-1].sum(axis=1)) if additive else objective(some))
+        scores.append(objective(some))
         progress((k + 1) / total)
     score = np.concatenate(scores)
-    finite = np.isfinite(score)  # parts of simulations that diverge are not exchanged
-    if additive and finite.any():
-        simulated = pool[finite], np.concatenate(sums)[finite], score[finite]
-        assembled = limits.within(_assembled(objective, *simulated, rng, copies=assemblies))
-        pool, score = np.vstack([pool, assembled]), np.append(score, objective(assembled))
-        evaluated += len(assembled)
     for k in range(rounds):
         order = np.argsort(-score)[:_ELITE]
         pool, score = pool[order], score[order]
@@ -182,50 +133,16 @@ def best(
         varied = [_varied(pool[p], pool, limits, rng, draw) for p in parents]
         kept = limits.within(np.array(varied))
         pool, score = np.concatenate([pool, kept]), np.append(score, objective(kept))
-        evaluated += batch
-        progress((len(batches) + 2 + k) / total)
+        progress((len(batches) + 1 + k) / total)
     first = int(np.argmax(score))
-    return SearchResult(pool[first], float(score[first]), evaluated)
-
-
-def _assembled(
-    objective: Any,  # noqa: ANN401 - as of ``best``
-    pool: Array,
-    sums: Array,
-    score: Array,
-    rng: np.random.Generator,
-    *,
-    copies: int,
-    tried: int = 160,
-    passes: int = 2,
-) -> Array:
-    """Commands (copies, T) of parts of those of a pool (N, T), by their sums (N, parts, K)."""
-    N, parts, _ = sums.shape
-    edges = [int(part[0]) for part in np.array_split(np.arange(pool.shape[1]), parts)]
-    edges.append(pool.shape[1])
-    good = np.argsort(-score)[: max(N // 2, 1)]
-    out = pool[np.argsort(-score)[:copies]].copy()
-    for n, first in enumerate(np.argsort(-score)[:copies]):
-        mine = sums[first].copy()
-        total = mine.sum(axis=0)
-        for place in rng.permutation(np.tile(np.arange(parts), passes)):
-            source, other = rng.choice(good, tried), rng.integers(0, parts, tried)
-            candidates = total - mine[place] + np.vstack([mine[None, place], sums[source, other]])
-            k = int(np.argmax(objective.scores(candidates))) - 1
-            if k < 0:
-                continue
-            total, mine[place] = candidates[k + 1], sums[source[k], other[k]]
-            length = edges[place + 1] - edges[place]
-            begin = min(edges[other[k]], pool.shape[1] - length)
-            out[n, edges[place] : edges[place + 1]] = pool[source[k], begin : begin + length]
-    return out
+    return SearchResult(pool[first], float(score[first]), drawn + rounds * batch)
 
 
 def _varied(
     command: Array, elite: Array, limits: Limits, rng: np.random.Generator, draw: Draw
 ) -> Array:
     """One of the best commands (T, ...), of which a part of a thirtieth to a half is changed."""
-    kind, out, T = int(rng.integers(5)), command.copy(), len(command)
+    kind, out, T = int(rng.integers(4)), command.copy(), len(command)
     length = int(T * np.exp(rng.uniform(np.log(0.03), np.log(0.5))))
     begin = int(rng.integers(0, T - length))
     part = slice(begin, begin + length)
@@ -238,10 +155,6 @@ def _varied(
         out[part] = new[:length]
     elif kind == 2:  # larger or smaller about rest
         out[part] = limits.rest_rad + (out[part] - limits.rest_rad) * np.exp(0.3 * rng.normal())
-    elif kind == 3:  # faster or slower
-        rate = float(np.exp(0.25 * rng.normal()))
-        places = np.minimum(begin + rate * np.arange(length), T - 1)
-        out[part] = make_interp_spline(np.arange(T), command, k=1)(places)
     else:  # by smooth random changes
         width = float(np.exp(rng.uniform(np.log(1.0), np.log(12.0))))
         noise = gaussian_filter1d(rng.normal(size=out[part].shape), width, axis=0)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from itertools import combinations
-from itertools import count as counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr
@@ -15,17 +14,13 @@ from scipy.special import ndtr
 from sim2real.arrays import Array
 from sim2real.design.contexts import AS_IT_IS, Context
 from sim2real.design.limits import check_seconds, holding, limits_of
-from sim2real.design.plan import next_recording
-from sim2real.design.rivals import RivalObjective, remaining_entropy
-from sim2real.design.search import SearchResult, best
+from sim2real.design.plan import NextRecording, commands_without_angles
+from sim2real.design.rivals import JointObjective, RivalObjective, remaining_entropy
+from sim2real.design.search import best, part
 from sim2real.diagnose.rival_sets import SEPARATED, JointRivals, OpenSets, entropy, task
-from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
-from sim2real.recording import PER_INERTIA, Recording
+from sim2real.recording import PER_INERTIA
 from sim2real.robot import Robot
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _OPEN = 0.05
 """Probability from which a set of effects is one of several that remain."""
@@ -81,6 +76,11 @@ class JointForecast:
     command: Array  # the set-points, rad, shape (T,), or (T, J) of all joints for the body
     pairs: tuple[ExpectedSeparation, ...]  # all pairs of sets, those that matter most first
 
+    @property
+    def times(self) -> Array:
+        """Times of the set-points in s, shape (T,)."""
+        return np.asarray(self.rivals.period_s * np.arange(len(self.command), dtype=np.float64))
+
     def content(self) -> dict[str, Any]:
         """An entry of ``rivals`` in the recording's JSON."""
         return {
@@ -93,48 +93,12 @@ class JointForecast:
 
 
 @dataclass(frozen=True)
-class RivalDesign(NotebookDisplay):
-    """A recording to make next."""
+class RivalDesign(NextRecording):
+    """Commands that tell the sets of effects apart that a diagnosis left open."""
 
-    context: Context  # what to change besides the commands
     joints: tuple[JointForecast, ...]  # what it is expected to tell, joint by joint
+    setting: str  # what the recording needs besides its commands, in one line
     least: float = _OPEN  # probability from which a set counts as open
-    # as returned by ``sim2real.output.provenance``
-    provenance: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def t(self) -> Array:
-        """Times of the set-points in s, shape (T,)."""
-        first = self.joints[0]
-        return np.asarray(first.rivals.period_s * np.arange(len(first.command), dtype=np.float64))
-
-    def recording(self, name: str = "next") -> Recording:
-        """The commands as a recording without measured angles, and what they are to tell."""
-        rivals = [joint.rivals for joint in self.joints if isinstance(joint.rivals, JointRivals)]
-        loads = {one.component: self.context.load(one) for one in rivals}
-        commands = [joint.command for joint in self.joints]
-        context = {"name": self.context.name, **self.context.ratios}
-        return next_recording(name, self.t, commands, loads, self.statement | {"context": context})
-
-    @property
-    def statement(self) -> dict[str, Any]:
-        """What the recording is to tell, as its JSON states it."""
-        return {
-            "rivals": [joint.content() for joint in self.joints],
-            "provenance": dict(self.provenance),
-        }
-
-    def plot(self, joint: str | None = None) -> Figure:
-        """Commands of one joint."""
-        by_name = {one.rivals.component: one for one in self.joints}
-        chosen = self.joints[0] if joint is None else by_name[joint]
-        figure: Figure = from_report("design_plot.rivals_figure")(chosen)
-        return figure
-
-    @property
-    def setting(self) -> str:
-        """What the recording needs besides its commands, in one line."""
-        return f"context: {self.context.name}"
 
     @property
     def informative(self) -> bool:
@@ -183,53 +147,53 @@ def design_for_rivals(
 ) -> RivalDesign:
     """The commands, and the context, that leave the least expected entropy over the rival sets.
 
-    Random commands are scored in every context besides the bench as it is; the best are varied in
-    the best context. All joints move at once. Of the ``samples`` set-points that are simulated for
-    a joint, a third are for random commands. A change of context must save ``change_gain`` nats.
+    All joints move at once, in the context whose best commands tell most: one besides the bench as
+    it is must save ``change_gain`` nats. ``samples`` set-points are simulated for a joint, a third
+    of them of random commands.
     """
     rivals = [one for one in rivals if request.leaves_open(one)]
     if not rivals:
         none = "no joint with several probable sets of effects"
         raise InputError(request.file, "rival_sets", none, "a diagnosis that leaves some open")
     _check_joints(rivals, contexts, robot, request.file)
-    seconds, offered, limits = request.seconds, [AS_IT_IS, *contexts], {}
+    seconds, offered, limits = request.seconds, [AS_IT_IS, *contexts], []
     for one in rivals:
         own = replace(limits_of(robot, one.component), period_s=one.period_s)
         check_seconds(seconds, own)
         for context in contexts:
-            if one.component in context.loads:
-                own = holding(own, context.loads[one.component], robot)
-        limits[one.component] = own
-    count = max(own.times(seconds).size for own in limits.values())
-    commands = int(np.clip(samples / count, 64, 800))
-    few = max(commands // 3 // len(offered), 16)
-    stages, done = len(rivals) * (len(offered) + 1), counter()
-
-    def found(one: JointRivals, context: Context, **options: Any) -> tuple[Any, SearchResult]:  # noqa: ANN401
-        """The objective and the best commands of a joint; two commands' parts are exchanged."""
-        k, own = next(done), limits[one.component]
-        # the same random commands in every context
-        rng = np.random.default_rng([request.seed, list(limits).index(one.component)])
-        objective = RivalObjective(one, context, rms_torque_Nm=own.rms_torque_Nm)
-        # eight assemblies took 37 s and two 16 s on the bench that was measured, for the same
-        return objective, best(
-            objective, own, seconds, rng=rng, drawn=few, assemblies=2,
-            progress=lambda share: request.progress((k + share) / stages), **options,
-        )  # fmt: skip
-
-    looks = [
-        [found(one, context, rounds=0, batch=min(few, 32))[1] for one in rivals]
-        for context in offered
-    ]
-    scores = np.array([sum(joint.score for joint in joints) for joints in looks])
-    scores[1:] -= change_gain
-    k = int(scores.argmax())
-    joints = []
-    for one, first in zip(rivals, looks[k], strict=True):
-        start = first.command[None]
-        objective, last = found(one, offered[k], rounds=commands // 2 // 32, start=start)
-        joints.append(forecast(objective, last.command))
-    return RivalDesign(offered[k], tuple(joints), request.least)
+            own = holding(own, context.loads.get(one.component, PER_INERTIA), robot)
+        limits.append(own)
+    count = max(own.times(seconds).size for own in limits)
+    commands = int(np.clip(samples / count, 64, 800) / len(offered))
+    plans: list[tuple[float, Context, list[JointForecast]]] = []
+    for context in offered:
+        score, joints = change_gain * (context is AS_IT_IS), []
+        for k, (one, own) in enumerate(zip(rivals, limits, strict=True)):
+            objective = JointObjective(one, context, rms_torque_Nm=own.rms_torque_Nm)
+            found = best(
+                objective, own, seconds,
+                rng=np.random.default_rng([request.seed, k]),  # the same in every context
+                drawn=max(commands // 3, 16), rounds=commands // 12,
+                progress=part(
+                    request.progress, len(plans) * len(rivals) + k, len(rivals) * len(offered)
+                ),
+            )  # fmt: skip
+            score += found.score
+            joints.append(forecast(objective, found.command))
+        plans.append((score, context, joints))
+    _, context, chosen = max(plans, key=lambda plan: plan[0])
+    loads = {one.component: context.load(one) for one in rivals}
+    recording = commands_without_angles(
+        chosen[0].times,
+        {joint.rivals.component: joint.command for joint in chosen},
+        {
+            "rivals": [joint.content() for joint in chosen],
+            "context": {"name": context.name, **context.ratios},
+        },
+        kind="servo",
+        loads={name: load for name, load in loads.items() if load is not PER_INERTIA},
+    )
+    return RivalDesign(recording, tuple(chosen), f"context: {context.name}", request.least)
 
 
 def _check_joints(
@@ -239,10 +203,10 @@ def _check_joints(
     file: str | os.PathLike[str],
 ) -> None:
     """Check that the robot has the joints of a diagnosis and of contexts, whose loads are known."""
-    known = ", ".join(joint.name for joint in robot.joints)
     of_contexts = {name: "contexts" for context in contexts for name in context.loads}
     for name, where in ({one.component: file for one in rivals} | of_contexts).items():
         if robot.joint(name) is None:
+            known = ", ".join(joint.name for joint in robot.joints)
             raise InputError(where, "", f"joint {name!r}", f"a joint of {robot.name}: {known}")
     for one in rivals:
         if one.load is PER_INERTIA and one.component in of_contexts:
@@ -250,28 +214,20 @@ def _check_joints(
             raise InputError("contexts", f"loads.{one.component}", found, "one in all or in none")
 
 
-def forecast(
-    objective: Any,  # noqa: ANN401 - of servos or of a swim
-    command: Array,
-    *,
-    achieved: float = 0.4,
-) -> JointForecast:
+def forecast(objective: RivalObjective, command: Array, *, achieved: float = 0.4) -> JointForecast:
     """What a command (T,), or (T, J) of the body, is expected to tell of a joint or of the body.
 
-    ``objective`` has the sets (``rivals``), their ``probability`` (M,), and the Bhattacharyya
-    ``distances`` (N, M, M) that commands put between them. ``achieved`` is the share of the
-    computed reduction of entropy that is expected of a recording: the computation assumes that one
-    of the sets is the full truth. That of servos is from a regression over 65 development benches
-    (``reports/design/rivals.md``).
+    ``achieved`` is the share of the computed reduction of entropy that is expected of a recording:
+    the computation assumes that one of the sets is the full truth. That of servos is from a
+    regression over 65 development benches (``reports/design/rivals.md``).
     """
     p, distances = objective.probability, objective.distances(command[None])
     sets = [one.effects for one in objective.rivals.sets]
-    places = list(combinations(range(len(sets)), 2))
-    places.sort(key=lambda pair: -p[pair[0]] * p[pair[1]])
-    apart = [(i, j, float(distances[0, i, j])) for i, j in places]
+    places = sorted(combinations(range(p.size), 2), key=lambda pair: -p[pair[0]] * p[pair[1]])
     pairs = tuple(
-        ExpectedSeparation(sets[i], sets[j], distance, float(ndtr(np.sqrt(2 * distance))))
-        for i, j, distance in apart
+        ExpectedSeparation(sets[i], sets[j], float(d), float(ndtr(np.sqrt(2 * d))))
+        for i, j in places
+        for d in [distances[0, i, j]]
     )
     before, bound = entropy(p), float(remaining_entropy(p, distances)[0])
     remaining = before - achieved * (before - bound)

@@ -1,13 +1,13 @@
 """Autoregressive noise of an angle, with normal innovations of two sizes: in motion and at rest.
 
-Irregular timing of set-points is tested against it.
+Innovations are smaller at rest where the sensor is coarser than its noise; with one size, larger
+innovations in motion would pass for irregular timing of set-points, which is tested against it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -15,11 +15,22 @@ from sim2real.arrays import Array, Mask
 from sim2real.inference.correlated_noise import autoregression, counting, lag_products, whitened
 from sim2real.servo.linearised import Residual, gain_derivatives
 
-RATIOS = (0.1, 10.0)
+_RATIOS = (0.1, 10.0)
 """Smallest and largest noise at rest, relative to that in motion."""
 _LEAST_SD_RAD = 1e-9
 _REST_SHARES = np.linspace(0.1, 0.8, 8)
 """Shares of the samples, the slowest, that may be called at rest."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Autoregressive noise with innovations of two sizes."""
+
+    model: Array  # coefficients, shape (p,)
+    ratio: float  # standard deviation of the innovations at rest, relative to those in motion
+    variance: float  # of the innovations in motion, in rad2
+    # how far the latency in s and the logarithms of kd and kp are too large, shape (3,)
+    refit: Array
 
 
 @dataclass(frozen=True)
@@ -39,23 +50,11 @@ class Segment:
 
     def innovations(self, noise: Noise) -> Array:
         """Innovations of the corrected residual, as of a joint at rest, shape (T,)."""
-        residual = whitened(self.corrected(noise.refit), noise.model)
-        return self.source.trace.standardised(residual)
+        return self.source.trace.standardised(whitened(self.corrected(noise.refit), noise.model))
 
     def corrected(self, refit: Array) -> Array:
         """Residual after a change of latency, kd and kp by ``refit`` (3,), shape (T,)."""
         return self.residual - self.derivatives @ refit
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Autoregressive noise with innovations of two sizes."""
-
-    model: Array  # coefficients, shape (p,)
-    ratio: float  # standard deviation of the innovations at rest, relative to those in motion
-    variance: float  # of the innovations in motion, in rad2
-    # how far the latency in s and the logarithms of kd and kp are too large, shape (3,)
-    refit: Array
 
 
 @dataclass(frozen=True)
@@ -66,36 +65,40 @@ class NoisyJoint:
     noise: Noise  # the noise
     least_gain: float  # least gain of the whitening filter at frequency 0
 
-    @cached_property
-    def counts(self) -> tuple[int, int]:
-        """Samples that count, and those of them at rest."""
-        every = sum(int(s.counts.sum()) for s in self.segments)
-        return every, sum(int((s.counts & s.rests).sum()) for s in self.segments)
+    @property
+    def count(self) -> int:
+        """Samples that count."""
+        return sum(int(s.counts.sum()) for s in self.segments)
 
     def variance(self, error2: float) -> float:
         """Most probable variance of the innovations in motion, in rad2."""
-        return max(error2 / self.counts[0], _LEAST_SD_RAD**2)
+        return max(error2 / self.count, _LEAST_SD_RAD**2)
 
-    def loglikelihood(self, error2: float, ratio: float) -> float:
-        """Gaussian log-likelihood of a weighted sum of squared innovations, up to a constant."""
-        every, rest = self.counts
-        return -0.5 * every * float(np.log(self.variance(error2))) - rest * float(np.log(ratio))
-
-    def alone(self, noise: Noise) -> float:
-        """Log-likelihood of the residual as noise, its variance and ``refit`` at their best."""
-        return self.loglikelihood(self._refitted(noise)[1], noise.ratio)
+    def refitted(self, noise: Noise) -> tuple[Noise, float]:
+        """The noise with its variance and ``refit`` at their best, and its log-likelihood."""
+        products = np.zeros((4, 4))
+        for s in self.segments:
+            columns = np.column_stack([s.residual, s.derivatives])
+            columns = whitened(columns, noise.model, axis=0) * s.weight(noise.ratio)[:, None]
+            products += columns.T @ columns
+        normal = products[1:, 1:]
+        size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        scaled = normal / np.outer(size, size) + 1e-10 * np.eye(3)
+        refit = np.linalg.solve(scaled, products[1:, 0] / size) / size
+        variance = self.variance(float(products[0, 0] - products[0, 1:] @ refit))
+        rest = sum(int((s.counts & s.rests).sum()) for s in self.segments)
+        level = -0.5 * self.count * np.log(variance) - rest * np.log(noise.ratio)
+        return replace(noise, variance=variance, refit=refit), float(level)
 
     def settled(self, noise: Noise) -> tuple[Noise, float]:
-        """The noise with its sizes and ``refit`` at their best, and its log-likelihood."""
+        """The same, its sizes at their best as well."""
         pairs = [(s, s.innovations(noise)) for s in self.segments]
         rest = np.concatenate([e[s.counts & s.rests] for s, e in pairs])
         moving = np.concatenate([e[s.counts & ~s.rests] for s, e in pairs])
         ratio = 1.0
         if rest.size and moving.any():
-            ratio = float(np.clip(np.sqrt(np.mean(rest**2) / np.mean(moving**2)), *RATIOS))
-        refit, error2 = self._refitted(replace(noise, ratio=ratio))
-        best = Noise(noise.model, ratio, self.variance(error2), refit)
-        return best, self.loglikelihood(error2, ratio)
+            ratio = float(np.clip(np.sqrt(np.mean(rest**2) / np.mean(moving**2)), *_RATIOS))
+        return self.refitted(replace(noise, ratio=ratio))
 
     def remodelled(self, noise: Noise, uncertainty: Array | None = None) -> Noise:
         """The noise with its autoregression refitted to the residuals under its ``refit``.
@@ -113,27 +116,11 @@ class NoisyJoint:
                 products += lag_products(residual, segment.counts & mask, p) / size**2
         return replace(noise, model=autoregression(products[None], self.least_gain)[0])
 
-    def _refitted(self, noise: Noise) -> tuple[Array, float]:
-        """Best ``refit`` (3,) under this noise, and the weighted square that it leaves."""
-        products = np.zeros((4, 4))
-        for s in self.segments:
-            columns = np.column_stack([s.residual, s.derivatives])
-            columns = whitened(columns, noise.model, axis=0) * s.weight(noise.ratio)[:, None]
-            products += columns.T @ columns
-        normal = products[1:, 1:]
-        size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        scaled = normal / np.outer(size, size) + 1e-10 * np.eye(3)
-        refit = np.linalg.solve(scaled, products[1:, 0] / size) / size
-        return refit, float(products[0, 0] - products[0, 1:] @ refit)
-
 
 def with_noise(
     recordings: Sequence[Residual], lags: int, least_gain: float, *, iterations: int = 20
 ) -> NoisyJoint:
     """Fit the noise of one joint by maximum likelihood, set-points arriving at the latency.
-
-    Innovations are smaller at rest where the sensor is coarser than its noise. With one size,
-    larger innovations in motion would pass for irregular timing.
 
     ``lags`` is the order of the autoregression, ``least_gain`` the least gain of the whitening
     filter at frequency 0.
@@ -153,17 +140,16 @@ def with_noise(
     )
     noise = Noise(np.zeros(lags), 1.0, 1.0, np.zeros(3))
     joint = NoisyJoint(segments, noise, least_gain)
-    if joint.counts[0] <= lags:
-        raise ValueError(f"{joint.counts[0]} samples count; {lags} lags take more")
+    if joint.count <= lags:
+        raise ValueError(f"{joint.count} samples count; {lags} lags take more")
     noise = joint.remodelled(noise)
-    joint = NoisyJoint(_with_rest(segments, noise.model), noise, least_gain)
+    joint = replace(joint, segments=_with_rest(segments, noise.model))
     before = -np.inf
     for _ in range(iterations):
         noise, value = joint.settled(noise)
         if value < before + 0.01:
             break
-        before = value
-        noise = joint.remodelled(noise)
+        before, noise = value, joint.remodelled(noise)
     return replace(joint, noise=noise)
 
 
@@ -181,7 +167,7 @@ def _with_rest(
         if min(rests.sum(), (~rests).sum()) < fewest:
             continue
         moving = square[~rests].mean() + 1e-300
-        rest = np.clip(square[rests].mean() / moving, RATIOS[0] ** 2, RATIOS[1] ** 2) * moving
+        rest = np.clip(square[rests].mean() / moving, _RATIOS[0] ** 2, _RATIOS[1] ** 2) * moving
         excess = rests.sum() * (square[rests].mean() / rest - 1)
         value = rests.sum() * np.log(rest) + (~rests).sum() * np.log(moving) + excess
         if value < best:

@@ -69,7 +69,7 @@ def odds_features(finding: Finding, unseen: Errors) -> OddsFeatures:
     tried, best, link, without = finding.tried, finding.best, finding.link, finding.unmodelled
     no_findings = {ROUNDING, link.effect if link is not None else ROUNDING}
     groups = [g for g in finding.groups if no_findings.isdisjoint(g.members)]
-    changes = [finding.changes(unseen, g.members[0]) for g in groups]
+    changes = [finding.changes(unseen, g.head) for g in groups]
     matter = sum(change >= DECISION.negligible for change in changes)
     smooth = without.smooth.evidence(float(best.fit.count[0]))
     # Evidence by which a smooth function, which names no effect, exceeds the best set.
@@ -96,7 +96,7 @@ def odds_features(finding: Finding, unseen: Errors) -> OddsFeatures:
     of_joint = {f"joint {name}": whole[name] for name in _JOINT_FEATURES}
     of_groups = []
     for group, change in zip(groups, changes, strict=True):
-        head = group.members[0]
+        head = group.head
         fewer = tried.tried.get(best.members - {head}, tried.plain)
         features = scaled(
             probability=group.probability,
@@ -129,16 +129,12 @@ def _as_large(changes: Sequence[float], change: float) -> float:
 def judged_together(findings: Sequence[Finding], unseen: Sequence[Errors]) -> list[Finding]:
     """The findings of one robot's joints, see ``judged``; its link is as likely on all of them."""
     pairs = list(zip(findings, unseen, strict=True))
-    on_link = [f.link is not None and len(f.link.shares) > 1 for f in findings]
-    odds = [
-        _link_probability(odds_features(*pair))
-        for pair, is_shared in zip(pairs, on_link, strict=True)
-        if is_shared
-    ]
-    largest = max(odds, default=0.0)
+    shared = [f.link is not None and len(f.link.shares) > 1 for f in findings]
+    some = (pair for pair, is_shared in zip(pairs, shared, strict=True) if is_shared)
+    largest = max((_link_probability(odds_features(*pair)) for pair in some), default=0.0)
     return [
         judged(*pair, link_probability=largest if is_shared else 0.0)
-        for pair, is_shared in zip(pairs, on_link, strict=True)
+        for pair, is_shared in zip(pairs, shared, strict=True)
     ]
 
 
@@ -166,48 +162,43 @@ def judged(finding: Finding, unseen: Errors, *, link_probability: float = 0.0) -
             smooth_evidence=0.0, windows_evidence=0.0,
         )  # fmt: skip
     unknown = ODDS["uncatalogued"].probability(whole)
-    if any(named(g.members[0]).never_named for g, _ in features.groups):
+    if any(named(g.head).never_named for g, _ in features.groups):
         unknown = max(unknown, DECISION.uncatalogued_probability)
-
-    def stated(if_known: float, change: float = 0.0) -> float:
-        """Probability that the catalogue has what is missing, and that it is this effect.
-
-        What is unknown accounts for the squared error that the effect leaves; the smaller its share
-        of that without the effect, the less it can stand in for it.
-        """
-        remains = float(np.clip(1 - change, 0.0, 1.0)) ** 2 if np.isfinite(change) else 1.0
-        probability = (1 - unknown * remains) * if_known
-        # Names stated with 0.9 and more must be right that often.
-        certain = probability >= DECISION.min_certain_probability
-        return probability if certain else min(probability, DECISION.max_uncertain_probability)
-
     groups = [
-        replace(
-            g,
-            probability=stated(
-                ODDS["effect"].probability(of_name), finding.changes(unseen, g.members[0])
-            ),
-        )
+        Group(g.members, _stated(ODDS["effect"].probability(of_name), unknown, change))
         for g, of_name in features.groups
-        if not named(g.members[0]).never_named
-        and not includes_zero(finding.tried, finding.best, g.members[0])
+        if not named(g.head).never_named and not includes_zero(finding.tried, finding.best, g.head)
+        for change in [finding.changes(unseen, g.head)]
     ]
-    coarse = [g for g in finding.groups if g.members == (ROUNDING,)]
     if finding.link is not None:
-        groups.append(Group((finding.link.effect,), stated(link_probability)))
+        groups.append(Group((finding.link.effect,), _stated(link_probability, unknown)))
+    coarse = [g for g in finding.groups if g.members == (ROUNDING,)]
     probable = [g for g in groups if g.probability >= DECISION.named]
-    matters = [g for g in probable if finding.changes(unseen, g.members[0]) >= DECISION.negligible]
+    matters = any(finding.changes(unseen, g.head) >= DECISION.negligible for g in probable)
     mismatch = ODDS["mismatch"].probability(whole) >= DECISION.mismatch_probability
+    rattling = finding.rattle is not None and link_probability < DECISION.named
     # Negligible effects do not explain a residual that is structured without them.
-    negligible = not matters and finding.excess > DECISION.structured_excess
-    unsolved = mismatch and not coarse and (not probable or negligible)
+    unsolved = mismatch and not coarse and (not probable or (not matters and finding.structured))
     return replace(
         finding,
-        mismatch=bool(coarse or matters) or mismatch or unknown > DECISION.named,
+        mismatch=bool(coarse) or matters or mismatch or rattling or unknown > DECISION.named,
         groups=tuple(sorted([*coarse, *groups], key=lambda g: -g.probability)),
-        unexplained=unknown > DECISION.named or unsolved,
+        unexplained=unknown > DECISION.named or unsolved or rattling,
         unknown=unknown,
     )
+
+
+def _stated(if_known: float, unknown: float, change: float = 0.0) -> float:
+    """Probability that the catalogue has what is missing, and that it is this effect.
+
+    What is unknown accounts for the squared error that the effect leaves; the smaller its share of
+    that without the effect, the less it can stand in for it.
+    """
+    remains = float(np.clip(1 - change, 0.0, 1.0)) ** 2 if np.isfinite(change) else 1.0
+    probability = (1 - unknown * remains) * if_known
+    # Names stated with 0.9 and more must be right that often.
+    certain = probability >= DECISION.min_certain_probability
+    return probability if certain else min(probability, DECISION.max_uncertain_probability)
 
 
 def judged_and_offered(
@@ -217,77 +208,61 @@ def judged_and_offered(
 
     Findings against references are judged already: they are offered as they are named.
     """
-    judgements, errors = list(findings), [dict[Set, Unseen]() for _ in joints]
     searched = [j for j, joint in enumerate(joints) if not joint.references]
-    sets = [_sets_to_score(f) if j in searched else [] for j, f in enumerate(findings)]
-    _add_errors(errors, joints, findings, sets, device)
-    together = judged_together([findings[j] for j in searched], [errors[j] for j in searched])
-    for j, judgement in zip(searched, together, strict=True):
-        judgements[j] = judgement
-    enriched = [_with_named(f) if j in searched else f.best for j, f in enumerate(judgements)]
-    sets = [[servo.members] if j in searched else [] for j, servo in enumerate(enriched)]
-    _add_errors(errors, joints, judgements, sets, device)
+    errors = [dict[Set, Unseen]() for _ in joints]
     for j in searched:
-        enriched[j] = _enriched(judgements[j], enriched[j], errors[j])
-    fewer = [simpler(*of_joint) for of_joint in zip(judgements, enriched, errors, strict=True)]
-    sets = [[members] if j in searched else [] for j, members in enumerate(fewer)]
-    _add_errors(errors, joints, judgements, sets, device)
-    found = []
-    for j, joint in enumerate(joints):
-        offered = enriched[j]
-        if j in searched:
-            offered = offer(judgements[j], offered, fewer[j], errors[j])
-        found.append(JointFindings(joint, judgements[j], enriched[j], offered, errors[j]))
-    return found
+        best, base = findings[j].best.members, findings[j].tried.base
+        fewer = (best - {effect} for effect in best - base)
+        _score(errors[j], joints[j], findings[j], [base, best, *fewer], device)
+    judged_ones = judged_together([findings[j] for j in searched], [errors[j] for j in searched])
+    judgements = dict(zip(searched, judged_ones, strict=True))
+    return [
+        _offered(joint, judgements[j], errors[j], device)
+        if j in judgements
+        else JointFindings(joint, finding, finding.best, finding.best, {})
+        for j, (joint, finding) in enumerate(zip(joints, findings, strict=True))
+    ]
 
 
-def _add_errors(
-    errors: Sequence[dict[Set, Unseen]],
-    joints: Sequence[JointCase],
-    findings: Sequence[Finding],
-    sets: Sequence[Sequence[Set]],
+def _offered(
+    joint: JointCase, finding: Finding, unseen: dict[Set, Unseen], device: str
+) -> JointFindings:
+    """A joint with the servo of its enriched model, chosen by held-out errors."""
+    enriched, best = _with_named(finding), finding.best
+    _score(unseen, joint, finding, [enriched.members], device)
+    less, more = unseen.get(enriched.members), unseen.get(best.members)
+    # All of the most probable set may predict better than what is named of it.
+    if finding.mismatch and finding.link is None and less is not None and more is not None:
+        enriched = best if more.error < less.error else enriched
+    fewer = simpler(finding, enriched, unseen)
+    _score(unseen, joint, finding, [fewer], device)
+    return JointFindings(joint, finding, enriched, offer(finding, enriched, fewer, unseen), unseen)
+
+
+def _score(
+    unseen: dict[Set, Unseen],
+    joint: JointCase,
+    finding: Finding,
+    sets: Sequence[Set],
     device: str,
 ) -> None:
-    """Add the held-out errors of those sets of effects of each joint that have none yet."""
-    jobs = [
-        (j, members)
-        for j, of_joint in enumerate(sets)
-        for members in dict.fromkeys(of_joint)
-        if members not in errors[j]
-    ]
-    if not jobs:
-        return
-    traces = [joints[j].traces for j, _ in jobs]
-    servos = [findings[j].tried.tried[members].fit.servos for j, members in jobs]
-    scores = held_out(traces, servos, device=device)
-    for (j, members), score in zip(jobs, scores, strict=True):
-        if score is not None:
-            errors[j][members] = score
-
-
-def _sets_to_score(finding: Finding) -> list[Set]:
-    """The sets whose errors on held-out data say what each effect is worth."""
-    best, base, tried = finding.best.members, finding.tried.base, finding.tried.tried
-    fewer = (best - {effect} for effect in best - base)
-    return [base, best, *(members for members in fewer if members in tried)]
+    """Add the held-out errors of those sets of effects that were tried and have none yet."""
+    tried = finding.tried.tried
+    new = [s for s in dict.fromkeys(sets) if s in tried and s not in unseen]
+    if new:
+        servos = [tried[s].fit.servos for s in new]
+        scores = held_out([joint.traces] * len(new), servos, device=device)
+        unseen.update((s, x) for s, x in zip(new, scores, strict=True) if x is not None)
 
 
 def _with_named(finding: Finding) -> Hypothesis:
     """The servo with what is named on the joint, or the plain one; no findings stay as they are."""
     tried, best = finding.tried, finding.best
-    heads = {g.members[0] for g in finding.groups if g.probability >= DECISION.named}
+    heads = {g.head for g in finding.groups if g.probability >= DECISION.named}
     wanted = best.members - (finding.effects - heads)
     if finding.link is not None:
         wanted &= heads | {name for name in wanted if named(name).everywhere}
     return tried.tried.get(tried.base | wanted, best if heads else tried.plain)
-
-
-def _enriched(finding: Finding, fewer: Hypothesis, unseen: Errors) -> Hypothesis:
-    """The servo that predicts better: with what is named, or with all of the most probable set."""
-    best, less = unseen.get(finding.best.members), unseen.get(fewer.members)
-    if not finding.mismatch or finding.link is not None or best is None or less is None:
-        return fewer
-    return finding.best if best.error < less.error else fewer
 
 
 def simpler(finding: Finding, enriched: Hypothesis, unseen: Errors) -> Set:

@@ -314,7 +314,7 @@ class Comparison:
         """Fit changes to the case, from some servos (P,)."""
         free = [p for name in names for p in self.parameters(name, starts[0])]
         problem = replace(self.case, parameters=tuple(free))
-        x, loss, _, _ = search(problem, problem.searched(np.array(starts)), (1.0, 1.0), 40)
+        x, loss, _ = search(problem, problem.searched(np.array(starts)), (1.0, 1.0), 40)
         (error,), (slopes,) = problem.slopes(x[:1], rough=False)
         _, (prior,) = problem.prior_slopes(x[:1])
         known, (bare, left) = prior.T @ prior, problem.left(error)

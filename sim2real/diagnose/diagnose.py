@@ -10,7 +10,6 @@ import numpy as np
 
 from sim2real.arm.arm_loads import with_arm_loads
 from sim2real.arrays import Array
-from sim2real.diagnose.baseline import baselines
 from sim2real.diagnose.calibrated_odds import judged_and_offered
 from sim2real.diagnose.case import Case, JointCase, batch_of, on_one_clock, prepared, simulated
 from sim2real.diagnose.decision import DECISION
@@ -22,13 +21,13 @@ from sim2real.diagnose.references import findings_of, with_known_servos
 from sim2real.diagnose.result import Diagnosis
 from sim2real.diagnose.rival_sets import with_open_sets
 from sim2real.diagnose.screening import NUISANCES
-from sim2real.diagnose.servo_search import ServoSearch, plain_sets
+from sim2real.diagnose.servo_search import ServoSearch, baselines, plain_sets
 from sim2real.diagnose.torque_speed_line import models_with_limits
 from sim2real.diagnose.wording import diagnosis, with_checks
 from sim2real.effects import named
 from sim2real.identification.held_out import Unseen, held_out
 from sim2real.identification.identify import fitted_joint
-from sim2real.identification.plain_fit import refitted
+from sim2real.identification.joint_fit import refitted
 from sim2real.identification.servo_problem import (
     Hypothesis,
     Servos,

@@ -20,6 +20,11 @@ class Group:
     members: tuple[str, ...]  # the effects that it may be, most probable first
     probability: float  # that one of them is there
 
+    @property
+    def head(self) -> str:
+        """The most probable of them."""
+        return self.members[0]
+
 
 @dataclass(frozen=True)
 class EffectPosterior:

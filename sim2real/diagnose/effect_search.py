@@ -14,12 +14,11 @@ from itertools import combinations
 
 import numpy as np
 
-from sim2real.diagnose.baseline import plain_again
 from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.gear_trains import try_gear_trains
-from sim2real.diagnose.screening import FITTED, NUISANCES, candidate
-from sim2real.diagnose.servo_search import Job, ServoSearch, plain_sets
+from sim2real.diagnose.screening import NUISANCES, candidate
+from sim2real.diagnose.servo_search import Job, ServoSearch, plain_again, plain_sets
 from sim2real.effects import named
 from sim2real.effects.servo.sensor_eccentricity import RANGE_RAD
 from sim2real.identification.servo_problem import Hypothesis, Set, Tried
@@ -29,6 +28,11 @@ from sim2real.progress import Progress
 from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import COLUMNS, INERTIA_LEFT_OUT, TRAIN_ROTORS
 
+NAMES = frozenset(e.name for e in NUISANCES)
+_BENT = "sensor_eccentricity"
+_ROTOR = frozenset({UNMODELLED_INERTIA})
+_CALIBRATED = np.linspace(-RANGE_RAD, RANGE_RAD, 161)
+
 
 def search(
     batch: Batch,
@@ -37,89 +41,46 @@ def search(
     *,
     level: float,
     rng: np.random.Generator,
+    again: bool = False,
     progress: Progress = lambda share: None,
 ) -> tuple[list[Tried], ServoSearch]:
-    """Try sets of effects on every joint until none is better, from what a first look tried.
+    """Try sets of effects on every joint until none is better, from what was tried before.
 
     ``level`` is the share of joints that miss nothing and may be searched beyond single effects.
+    Without ``again`` what is known is a first look at such a batch. With it, it is a whole search
+    with another noise model: its nuisances and its most probable sets are tried, and few besides.
 
     Where all joints are compared with references, nothing is searched.
 
     Returns:
         What was tried, one a joint, and what may be asked of it further.
     """
-    bases = [joint.base for joint in joints]
-    cases, best = plain_sets(plain_again(batch, known, bases), bases), [x.best for x in known]
+    cases = plain_sets(plain_again(batch, known), [x.base for x in known])
     problem = ServoSearch(batch, level, rng, max(joint.effort for joint in joints))
     if all(joint.references for joint in joints):
         return cases, problem
-    cases = with_nuisances(problem, cases, joints, best)
-    problem.try_all(
-        [
-            (tried, tried.base | h.members, h.fit.servos.theta[0])
-            for tried, h in zip(cases, best, strict=True)
-            if not h.members <= tried.base
-        ]
-    )
-    problem.try_all(
-        [
-            (tried, tried.base | one.effects, one.theta)
-            for tried, joint in zip(cases, joints, strict=True)
-            for one in joint.stated
-        ]
-    )
-    progress(0.15)
-    selection.select(problem, cases, selection.Breadth(most=1))
-    progress(0.3)
-    rebased = problem.rebased(cases)
-    if rebased:
-        selection.select(problem, rebased, selection.Breadth(most=1))
-    try_gear_trains(problem, cases)
-    missing = [x for x in cases if x.best.members != x.base and not problem.exhausted(x)]
-    problem.try_all(_pairs_of_families(problem, missing))
-    problem.singles = False
-    selection.select(
-        problem,
-        cases,
-        progress=lambda share: progress(0.4 + 0.5 * share),
-        exhausted=problem.exhausted,
-    )
-    # Where the plain servo is most probable no effect is named, and no rival matters.
-    going = [x for x in cases if x.best.members != x.base and not problem.exhausted(x)]
-    changed = with_rivals(problem, going, joints)
-    selection.select(problem, changed, exhausted=problem.exhausted)
-    problem.release(cases)
-    return cases, problem
-
-
-def search_freely(
-    batch: Batch,
-    joints: Sequence[JointCase],
-    before: Sequence[Tried],
-    *,
-    level: float,
-    rng: np.random.Generator,
-) -> tuple[list[Tried], ServoSearch]:
-    """Go on with the sets that were most probable with the noise model of another batch.
-
-    Returns:
-        As of ``search``.
-    """
-    bases = [tried.base for tried in before]
-    cases = plain_sets(plain_again(batch, before, bases), bases)
-    problem = ServoSearch(batch, level, rng, max(joint.effort for joint in joints))
-    problem.singles = False
-    if all(joint.references for joint in joints):
-        return cases, problem
-    problem.try_all(
-        [
-            (tried, h.members, h.fit.servos.theta[0])
-            for tried, old in zip(cases, before, strict=True)
-            for h in problem.compared(old)
-        ]
-    )
-    breadth = selection.Breadth(added=3, rivals=2)
-    selection.select(problem, cases, breadth, exhausted=problem.exhausted)
+    if not again:
+        cases = with_nuisances(problem, cases, joints, [x.best for x in known])
+    jobs: list[Job] = []
+    for tried, before, joint in zip(cases, known, joints, strict=True):
+        sets = problem.compared(before) if again else [before.best]
+        rows = [(h.members, h.fit.servos.theta[0]) for h in sets if not h.members <= tried.base]
+        rows += [] if again else [(one.effects, one.theta) for one in joint.stated]
+        jobs += [(tried, tried.base | members, theta) for members, theta in rows]
+    problem.try_all(jobs)
+    problem.singles = not again
+    if not again:
+        selection.select(problem, cases, selection.Breadth(most=1), progress)
+        try_gear_trains(problem, cases)
+        problem.singles = False
+    breadth = selection.Breadth(added=3, rivals=2) if again else selection.Breadth()
+    selection.select(problem, cases, breadth, progress, problem.exhausted)
+    if not again:
+        # Where the plain servo is most probable no effect is named, and no rival matters.
+        going = [x for x in cases if x.best.members != x.base and not problem.exhausted(x)]
+        changed = with_rivals(problem, going, [joints[x.case] for x in going])
+        selection.select(problem, changed, exhausted=problem.exhausted)
+        problem.release(cases)
     return cases, problem
 
 
@@ -127,47 +88,12 @@ def search_again(problem: ServoSearch, cases: Sequence[Tried]) -> None:
     """Try every effect together with the most probable set of each joint, until no set is better.
 
     For joints whose most probable set leaves structure in the residual: a noise model that has
-    taken up structure hides an effect from the linear look that chooses what is tried, and fixed
-    nuisances favour the set with which they were fitted.
+    taken up structure hides an effect from the linear look that chooses what is tried.
     """
     some = [tried for tried in cases if not problem.exhausted(tried)]
-    problem.resume(some)
+    problem.singles = True
     selection.widen(problem, some)
     problem.release(some)
-
-
-def _pairs_of_families(
-    problem: ServoSearch, cases: Sequence[Tried], *, share: float = 0.5
-) -> list[Job]:
-    """Pairs of effects of one family, each started from the fit of its better member alone."""
-    alone: list[tuple[Tried, str, Set]] = []
-    for tried in cases:
-        least = tried.plain.evidence + share * (tried.best.evidence - tried.plain.evidence)
-        families: dict[str, Set] = {}
-        for hypothesis in sorted(tried.tried.values(), key=lambda h: h.evidence):
-            added = hypothesis.members - tried.base
-            if len(added) == 1 and hypothesis.evidence > least and _has_partner(*added):
-                families[named(*added).family] = hypothesis.members
-        alone += [(tried, family, members) for family, members in families.items()]
-    problem.look([(tried, members) for tried, _, members in alone])
-    return [
-        (tried, members | {name}, start)
-        for tried, family, members in alone
-        for name, start in problem.additions(tried, members, len(FITTED))
-        if named(name).family == family
-    ]
-
-
-def _has_partner(effect: str) -> bool:
-    """Whether another effect of the family of this one can be present with it."""
-    one = named(effect)
-    return any(one.family == e.family != "" and not one.excludes(e) for e in FITTED)
-
-
-NAMES = frozenset(e.name for e in NUISANCES)
-_BENT = "sensor_eccentricity"
-_ROTOR = frozenset({UNMODELLED_INERTIA})
-_CALIBRATED = np.linspace(-RANGE_RAD, RANGE_RAD, 161)
 
 
 def size_in_noise(best: Hypothesis, effect: str, noise_rad: float) -> float:
@@ -201,11 +127,44 @@ def first_look(
             for name, start in problem.additions(tried, tried.base, most)
         ]
     )
-    first = [(tried, tried.best) for tried in cases if not tried.best.members >= NAMES]
-    jobs = _jobs(problem, first)
-    refits = iter(problem.refit([job for group in jobs for job in group]))
-    for (tried, best), group in zip(first, jobs, strict=True):
-        tried.keep(_best(best, [next(refits) for _ in group], _large(joints[tried.case])))
+    for tried, joint in zip(cases, joints, strict=True):
+        found = _waved(problem, tried, tried.best)
+        if found:
+            tried.keep(_best(tried.best, found, _large(joint)))
+
+
+def _waved(
+    problem: ServoSearch,
+    tried: Tried,
+    base: Hypothesis,
+    least_gain: float = -np.inf,
+    *,
+    starts: int = 2,
+) -> list[Hypothesis]:
+    """Every set of nuisances added to a hypothesis, from the most probable waves.
+
+    Only nuisances whose gain at first sight is more than ``least_gain``.
+    """
+    names = sorted(NAMES - base.members)
+    if not names:
+        return []
+    options = [candidate(named(name), *problem.strength(tried)) for name in names]
+    (seen,) = problem.screened([(tried, base)], [options])
+    waves = {}
+    for k, option in enumerate(options):
+        mine = np.flatnonzero(seen.candidate == k)
+        best = mine[np.argsort(-seen.gain[mine])][:starts]
+        if seen.gain[best[0]] > least_gain:
+            waves[k] = [option.starts[i] for i in np.resize(seen.start[best], starts)]
+    jobs: list[Job] = []
+    for count in range(1, len(waves) + 1):
+        for some in combinations(waves, count):
+            for turn in range(starts):
+                theta = np.array(base.fit.servos.theta[0])
+                for k in some:
+                    theta[options[k].columns] = waves[k][turn]
+                jobs.append((tried, base.members | {names[k] for k in some}, theta))
+    return problem.refit(jobs)
 
 
 def with_nuisances(
@@ -219,26 +178,22 @@ def with_nuisances(
     They are fitted with what explained each joint best before, of these recordings or of such a
     batch.
     """
-    large = [_large(joint) for joint in joints]
-    small = [_small(h, x) - tried.base for tried, h, x in zip(cases, best, large, strict=True)]
-    wanted = [k for k, names in enumerate(small) if names]
-    jobs = [
-        (cases[k], best[k].members | cases[k].base, np.array(best[k].fit.servos.theta[0]))
-        for k in wanted
-    ]
-    jobs = [
+    based = list(cases)
+    for k, (tried, known, joint) in enumerate(zip(cases, best, joints, strict=True)):
+        large = _large(joint)
+        small = _small(known, large) - tried.base
+        if not small:
+            continue
         # Fitted to these recordings, a small one may be a large one after all.
-        (cases[k], cases[k].base | (small[k] & _small(h, large[k])), h.fit.servos.theta[0])
-        for k, h in zip(wanted, problem.refit(jobs), strict=True)
-    ]
-    for tried, members, _ in jobs:
+        theta = known.fit.servos.theta[0]
+        (whole,) = problem.refit([(tried, known.members | tried.base, theta)])
+        members = tried.base | (small & _small(whole, large))
         # As fitted together with what explains most, and so they stay.
         problem.fixed[tried.case] = members - tried.base
-    based = list(cases)
-    for k, (tried, members, _), refitted in zip(wanted, jobs, problem.refit(jobs), strict=True):
+        (plain,) = problem.refit([(tried, members, whole.fit.servos.theta[0])])
         # As part of the base they cost no set their prior.
-        evidence = refitted.evidence - len(members - tried.base) * LOG_PRIOR
-        based[k] = Tried(tried.case, members, {members: replace(refitted, evidence=evidence)})
+        evidence = plain.evidence - len(members - tried.base) * LOG_PRIOR
+        based[k] = Tried(tried.case, members, {members: replace(plain, evidence=evidence)})
     return based
 
 
@@ -271,7 +226,7 @@ def with_rotors(
     Every servo has one, and stated loads leave it out: an inertia that the data sheet makes likely
     costs no set its prior.
     """
-    based, jobs, places = list(cases), list[Job](), list[int]()
+    based = list(cases)
     for k, (tried, joint) in enumerate(zip(cases, joints, strict=True)):
         if joint.rotor_room_kgm2 == 0 or tried.base >= _ROTOR:
             continue
@@ -282,14 +237,13 @@ def with_rotors(
                 turning.keep(replace(h, evidence=h.evidence - LOG_PRIOR))
             else:
                 others = max(others, h.evidence)
-        if turning.tried and turning.best.evidence > others:
+        if not turning.tried or turning.best.evidence <= others:
+            continue
+        job = tried, turning.base, turning.best.fit.servos.theta[0]
+        for plain in problem.refit([job], free=True):
+            turning.keep(replace(plain, evidence=plain.evidence - LOG_PRIOR))
+        if states_load(turning.plain, joint):  # else it is no rotor by itself
             based[k] = turning
-            jobs.append((tried, turning.base, turning.best.fit.servos.theta[0]))
-            places.append(k)
-    for k, plain in zip(places, problem.refit(jobs), strict=True):
-        based[k].keep(replace(plain, evidence=plain.evidence - LOG_PRIOR))
-        if not states_load(based[k].plain, joints[k]):
-            based[k] = cases[k]  # no rotor by itself
     return based
 
 
@@ -309,60 +263,27 @@ def with_rivals(
     Returns:
         Those in which other effects are most probable now.
     """
-    before = {tried.case: tried.best for tried in cases}
-    pairs = [
-        (tried, h)
-        for tried in cases
-        for h in sorted(tried.tried.values(), key=lambda h: -h.evidence)[:rivals]
-        if not h.members >= NAMES and h.evidence > before[tried.case].evidence - problem.limits.near
-    ]
-    behind = [before[tried.case].evidence - h.evidence for tried, h in pairs]
-    jobs = _jobs(problem, pairs, [max(x / promise, DECISION.nuisance_min_evidence) for x in behind])
-    refits = iter(problem.refit([job for group in jobs for job in group]))
-    for (tried, h), group in zip(pairs, jobs, strict=True):
-        found = [next(refits) for _ in group]
-        if not found:
-            continue
-        large = _large(joints[tried.case])
-        tried.keep(_best(h, found, large))
-        # Bent more than any sensor that is in order: no nuisance, and it has no name.
-        bent = [t for t in found if _BENT in t.members - _small(t, large)]
-        top = max(bent, key=lambda t: t.evidence, default=h)
-        if top.evidence > before[tried.case].evidence + DECISION.decisive_gain:
-            tried.keep(top)
-    return [t for t in cases if t.best.members - NAMES != before[t.case].members - NAMES]
-
-
-def _jobs(
-    problem: ServoSearch,
-    pairs: Sequence[tuple[Tried, Hypothesis]],
-    worth: Sequence[float] | None = None,
-    *,
-    starts_each: int = 2,
-) -> list[list[Job]]:
-    """For each hypothesis every set of nuisances added to it, from the most probable waves."""
-    lists = [
-        [candidate(named(n), *problem.strength(tried)) for n in sorted(NAMES - h.members)]
-        for tried, h in pairs
-    ]
-    jobs: list[list[Job]] = [[] for _ in pairs]
-    for n, (options, seen) in enumerate(zip(lists, problem.screened(pairs, lists), strict=True)):
-        tried, base = pairs[n]
-        starts: dict[str, list[np.ndarray]] = {}
-        for k, option in enumerate(options):
-            mine = np.flatnonzero(seen.candidate == k)
-            best = mine[np.argsort(-seen.gain[mine])][:starts_each]
-            if worth is None or seen.gain[best[0]] > worth[n]:
-                starts[option.effect.name] = [option.starts[seen.start[i]] for i in best]
-        columns = {option.effect.name: option.columns for option in options}
-        for count in range(1, len(starts) + 1):
-            for names in combinations(starts, count):
-                for turn in range(starts_each):
-                    theta = np.array(base.fit.servos.theta[0])
-                    for name in names:
-                        theta[columns[name]] = starts[name][min(turn, len(starts[name]) - 1)]
-                    jobs[n].append((tried, base.members | set(names), theta))
-    return jobs
+    changed = []
+    for tried, joint in zip(cases, joints, strict=True):
+        before, large = tried.best, _large(joint)
+        near = sorted(tried.tried.values(), key=lambda h: -h.evidence)[:rivals]
+        for h in near:
+            behind = before.evidence - h.evidence
+            if behind >= problem.limits.near:
+                continue
+            worth = max(behind / promise, DECISION.nuisance_min_evidence)
+            found = _waved(problem, tried, h, worth)
+            if not found:
+                continue
+            tried.keep(_best(h, found, large))
+            # Bent more than any sensor that is in order: no nuisance, and it has no name.
+            bent = [t for t in found if _BENT in t.members - _small(t, large)]
+            top = max(bent, key=lambda t: t.evidence, default=h)
+            if top.evidence > before.evidence + DECISION.decisive_gain:
+                tried.keep(top)
+        if tried.best.members - NAMES != before.members - NAMES:
+            changed.append(tried)
+    return changed
 
 
 def _best(first: Hypothesis, tried: Sequence[Hypothesis], large_rad: float) -> Hypothesis:

@@ -97,12 +97,10 @@ def _rubbing(best: Hypothesis) -> Set:
 def _friction_Nm(best: Hypothesis) -> float:
     """Torque of a set's dry friction, 0 without."""
     row = best.fit.servos.theta[0]
-    columns = [FIRST_COLUMN[e] for e in _rubbing(best) if _first(e).name == "torque_Nm"]
+    columns = [
+        FIRST_COLUMN[e] for e in _rubbing(best) if named(e).parameters[0].name == "torque_Nm"
+    ]
     return float(max(row[columns], default=0.0))
-
-
-def _first(effect: str):  # noqa: ANN202 - a parameter
-    return named(effect).parameters[0]
 
 
 def _places(problem: ServoSearch, some: Sequence[Tried]) -> Iterator[tuple[Tried, Hypothesis]]:

@@ -14,12 +14,12 @@ from sim2real.diagnose.effect_probabilities import EffectPosterior, Group, poste
 from sim2real.diagnose.effect_search import (
     search,
     search_again,
-    search_freely,
     size_in_noise,
     states_load,
     with_rotors,
 )
 from sim2real.diagnose.link_effect import IrregularTiming, LinkData, link_of
+from sim2real.diagnose.rattle import Rattle, rattles
 from sim2real.diagnose.result import Estimate
 from sim2real.diagnose.servo_search import ServoSearch
 from sim2real.diagnose.unmodelled import Unmodelled, beyond_noise, excess, unmodelled
@@ -62,6 +62,7 @@ class Finding:
     unknown: float  # probability that what is missing is not in the catalogue
     excess: float  # energy of the best set's residual beyond noise, in variances of the noise
     noise: float  # standard deviation of the sensor's noise, rad
+    rattle: Rattle | None = None  # what rattles in it, if gears are not among the effects
     link: IrregularTiming | None = None  # irregular timing of the link, or None
     place: int = 0  # of the joint among those of the link
     # parameters of what has changed since references, by change and name
@@ -71,6 +72,11 @@ class Finding:
     def unfinished(self) -> bool:
         """Whether the search was ended by its budget."""
         return self.tried.case in self.search.unfinished
+
+    @property
+    def structured(self) -> bool:
+        """Whether the most probable set leaves more than noise and slow drift."""
+        return self.excess > DECISION.structured_excess
 
     @property
     def effects(self) -> Set:
@@ -115,31 +121,16 @@ def investigate(
     Returns:
         The joints, their recordings as they were aligned, and the findings.
     """
-    level = DECISION.false_alarms / len(joints)
-
-    def searching(share: float) -> None:
-        progress(0.6 * share)
-
-    cases, problem = search(batch, joints, known, level=level, rng=rng, progress=searching)
-    findings = _findings(batch, joints, cases, problem, rng)
-    progress(0.7)
+    joints = list(joints)
+    findings = _findings(batch, joints, known, rng, lambda share: progress(0.6 * share))
     # Where structure stays, it is no sensor's noise: the noise model must then be free.
-    again = [
-        j
-        for j, finding in enumerate(findings)
-        if batch.white or finding.excess > DECISION.structured_excess
-    ]
+    again = [j for j, f in enumerate(findings) if batch.white or f.structured]
     if again:
-        joints = list(joints)
         for j in again:
             joints[j] = with_own_latency(batch, joints[j], findings[j].best)
-        some = [joints[j] for j in again]
+        some, before = [joints[j] for j in again], [findings[j].tried for j in again]
         free = batch_of(some, batch.device, period=batch.period, bounded=False)
-        before = [findings[j].tried for j in again]
-        level = DECISION.false_alarms / len(again)
-        cases, problem = search_freely(free, some, before, level=level, rng=rng)
-        second = _findings(free, some, cases, problem, rng)
-        for j, finding in zip(again, second, strict=True):
+        for j, finding in zip(again, _findings(free, some, before, rng, again=True), strict=True):
             own = replace(placed(finding.tried, j), case=finding.tried.case)
             mismatch = finding.mismatch or findings[j].mismatch
             best = own.tried[finding.best.members]
@@ -149,7 +140,7 @@ def investigate(
     for j in alone:  # where not all joints show it, one's own controller may be slow
         findings, _ = _with_link(batch, joints, [j], findings, DECISION.controller_wait_s)
     progress(1.0)
-    return list(joints), findings
+    return joints, findings
 
 
 def placed(tried: Tried, joint: int) -> Tried:
@@ -163,11 +154,17 @@ def placed(tried: Tried, joint: int) -> Tried:
 def _findings(
     batch: Batch,
     joints: Sequence[JointCase],
-    cases: Sequence[Tried],
-    problem: ServoSearch,
+    known: Sequence[Tried],
     rng: np.random.Generator,
+    progress: Progress = lambda share: None,
+    *,
+    again: bool = False,
 ) -> list[Finding]:
-    """The findings with the noise model of a batch, from what was tried with it."""
+    """The findings with the noise model of a batch, from what was tried before (``search``)."""
+    level = DECISION.false_alarms / len(joints)
+    cases, problem = search(
+        batch, joints, known, level=level, rng=rng, again=again, progress=progress
+    )
     data = [joint.traces for joint in joints]
     _, excesses = beyond_noise(batch, data, joined([tried.best.fit for tried in cases]))
     structured = [
@@ -187,9 +184,12 @@ def _findings(
             for tried, h in zip(cases, best, strict=True)
             for effect in h.members - tried.base
             if h.members - {effect} not in tried.tried
-        ]
+        ],
+        free=True,
     )
     without = unmodelled(batch, data, joined([tried.plain.fit for tried in cases]))
+    rattling = rattles(data, residual_angles(batch, joined([h.fit for h in best])))
+    rattling = [None if "backlash" in h.members else x for x, h in zip(rattling, best, strict=True)]
     _, excesses = beyond_noise(batch, data, joined([h.fit for h in best]))
     return [
         Finding(
@@ -205,6 +205,7 @@ def _findings(
             unknown=0.0,
             excess=excesses[j],
             noise=joint.noise,
+            rattle=rattling[j],
         )
         for j, (joint, tried) in enumerate(zip(joints, cases, strict=True))
     ]
@@ -215,9 +216,9 @@ def _groups(groups: Sequence[Group], best: Hypothesis, joint: JointCase) -> tupl
     torque, stiffness = best.fit.servos.theta[0, _PRESLIDING]
     found = []
     for group in groups:
-        if is_no_finding(best, group.members[0], joint):
+        if is_no_finding(best, group.head, joint):
             continue
-        dry = group.members[0] == "presliding_friction" and _DRY not in group.members
+        dry = group.head == "presliding_friction" and _DRY not in group.members
         if dry and torque <= joint.noise * stiffness:
             group = replace(group, members=(*group.members, _DRY))
         found.append(group)
@@ -250,46 +251,46 @@ def _with_link(
     instead of them, whichever explains more.
     """
     plain, best = [f.tried.plain for f in findings], [f.best for f in findings]
-    data = partial(_link_data, batch, joints, findings=findings)
-    plain_link = best_link = link_of(data(some, plain))
+    least_gain = min(findings[j].search.batch.least_gain for j in some)
+    link_with = partial(_link, batch, joints, some, least_gain)
+    plain_link = best_link = link_with(plain)
     if any(best[j] is not plain[j] for j in some):
-        best_link = link_of(data(some, best))
+        best_link = link_with(best)
+    explained = list(findings)
     if not _on_all(plain_link, best_link, [findings[j] for j in some]):
         shown = [j for j, share in zip(some, best_link.shares, strict=True) if share > 0]
-        return list(findings), [j for j in shown if len(some) > 1 and findings[j].mismatch]
-    explained = list(findings)
+        return explained, [j for j in shown if len(some) > 1 and findings[j].mismatch]
     lacks_rows = any(joints[i].lacks_rows for i in some)  # and so looks irregular
     for k, j in enumerate(some):
         finding, tried = findings[j], findings[j].tried
         options = [(best[j], best_link), (plain[j], plain_link)]
         most = max(link.shares[k] for _, link in options)
         for effect in best[j].members - tried.base:
-            fewer = tried.tried.get(best[j].members - {effect})
-            if fewer is None or fewer is plain[j] or best[j].evidence - fewer.evidence > most:
-                continue
-            servos = [fewer if i == j else servo for i, servo in enumerate(best)]
-            options.append((fewer, link_of(data(some, servos))))
-        worth = [servo.evidence + link.shares[k] for servo, link in options]
-        servo, link = options[int(np.argmax(worth))]
+            fewer = tried.tried.get(best[j].members - {effect}, plain[j])
+            if fewer is not plain[j] and best[j].evidence - fewer.evidence <= most:
+                servos = [fewer if i == j else servo for i, servo in enumerate(best)]
+                options.append((fewer, link_with(servos)))
+        servo, link = max(options, key=lambda option: option[0].evidence + option[1].shares[k])
         if link.gain <= 0:
             servo, link = options[0]
         short = link.effect == "latency_jitter" and link.value < longest_jitter_s
         if link.gain <= 0 or not (short or np.isinf(longest_jitter_s)):
             continue
-        noise = float(np.sqrt(finding.best.fit.error2[0] / finding.best.fit.count[0]))
+        noise = float(np.sqrt(best[j].fit.error2[0] / best[j].fit.count[0]))
         remaining = excess(link.unexplained[k], joints[j].traces, batch, noise)
         remaining = min(remaining, finding.excess)
         unexplained = remaining > DECISION.structured_excess
         kept = servo.members | {ROUNDING}
         groups = tuple(g for g in finding.groups if not kept.isdisjoint(g.members))
-        group = Group((link.effect,), DECISION.most_certain)
         explained[j] = replace(
             finding,
             mismatch=not lacks_rows or unexplained or bool(groups),
             unexplained=unexplained,
             excess=remaining,
             best=servo,
-            groups=groups if lacks_rows else (*groups, group),
+            groups=groups
+            if lacks_rows
+            else (*groups, Group((link.effect,), DECISION.most_certain)),
             link=None if lacks_rows else link,
             place=k,
         )
@@ -316,25 +317,23 @@ def _on_all(
     return len(showing) < 2 or sum(showing) > 1
 
 
-def _link_data(
+def _link(
     batch: Batch,
     joints: Sequence[JointCase],
     some: Sequence[int],
+    least_gain: float,
     servos: Sequence[Hypothesis],
-    findings: Sequence[Finding],
-) -> LinkData:
-    """Residuals of some joints, for ``link_of``; ``servos`` are those of all joints.
+) -> IrregularTiming:
+    """What irregular timing explains of some joints; ``servos`` are those of all joints.
 
-    Their noise is as free as in the search for effects.
+    Their noise is as free as in the search for effects, see ``LinkData``.
     """
     fits = [servos[j].fit.of_joints([j]) for j in some]
-    residuals = residual_angles(batch, joined(fits))
     left = tuple(
         tuple(
-            Residual(t, residual[r, : t.t.size], *fit.servos.theta[0, :3].tolist())
-            for r, t in enumerate(joints[j].traces)
+            Residual(t, residual[: t.t.size], *fit.servos.theta[0, :3].tolist())
+            for t, residual in zip(joints[j].traces, of_joint, strict=False)
         )
-        for j, fit, residual in zip(some, fits, residuals, strict=True)
+        for j, fit, of_joint in zip(some, fits, residual_angles(batch, joined(fits)), strict=True)
     )
-    least_gain = min(findings[j].search.batch.least_gain for j in some)
-    return LinkData(left, batch.lags, least_gain, DECISION.decisive_gain)
+    return link_of(LinkData(left, batch.lags, least_gain, DECISION.decisive_gain))

@@ -84,26 +84,25 @@ class JointFindings:
     def error(self) -> float:
         """Of the plain servo on held-out data, or on the fitted where nothing is held out, rad."""
         fit = self.fit(enriched=False)
-        return fit["train"] or 0.0 if fit["heldout"] is None else fit["heldout"]
+        return (fit["train"] or 0.0) if fit["heldout"] is None else fit["heldout"]
 
     def fit(self, *, enriched: bool) -> dict[str, float | None]:
         """Errors on fitted and on held-out data, and the noise, rad."""
-        servo = self.offered.members if enriched else self.finding.tried.base
-        pairs = zip(self.after if enriched else self.before, self.joint.traces, strict=False)
+        servo, rows = self.finding.tried.base, self.before
+        if enriched:
+            servo, rows = self.offered.members, self.after
+        pairs = zip(rows, self.joint.traces, strict=False)
         train = rms([row[: t.t.size][t.used] for row, t in pairs])
         return {"train": train, "heldout": self._unseen(servo), "noise": self.joint.noise}
 
     def heldout(self) -> dict[str, float | None]:
         """Errors on held-out data, and the share of the removable that is removed."""
         plain, enriched = map(self._unseen, (self.finding.tried.base, self.enriched.members))
-        removed = None
         if plain is None or enriched is None:
-            plain = enriched = None
-        else:
-            removable = plain - min(self.floor, plain)
-            share = (plain - enriched) / removable if removable > 0 else 0.0
-            removed = float(np.clip(share, -1.0, 1.0))
-        return {"rmse_before": plain, "rmse_after": enriched, "recoverable_removed": removed}
+            return dict.fromkeys(("rmse_before", "rmse_after", "recoverable_removed"))
+        removable = plain - min(self.floor, plain)
+        removed = np.clip((plain - enriched) / removable, -1.0, 1.0) if removable > 0 else 0.0
+        return {"rmse_before": plain, "rmse_after": enriched, "recoverable_removed": float(removed)}
 
     def _unseen(self, members: Set) -> float | None:
         unseen = self.unseen.get(members)
@@ -136,17 +135,15 @@ class JointFindings:
         rounding = () if coarse is None else (FittedEffect(ROUNDING, {"step_rad": coarse}),)
         if enriched and self.identified is not None:
             model, _ = self.identified
-            said = (
-                *self.model(enriched=False).notes,
-                *([_PLAIN_NOTE] if self.adds_effects else []),
-            )
+            said = self.model(enriched=False).notes + (_PLAIN_NOTE,) * self.adds_effects
             return replace(model, effects=(*model.effects, *rounding), notes=said)
         servo, theta = self.finding.tried.plain, self.least_squares
         if enriched and self.adds_effects:
             servo, theta = self.offered, self.robust
         if self.joint.servo is not None:
             theta = with_stated_line(self.joint.traces, self.joint.servo, theta)
-        members, notes = servo.members, list[str]()
+        notes: tuple[str, ...] = ()
+        members = servo.members
         values = dict(zip(COLUMNS, theta.tolist(), strict=True))
         rotor = float(theta[INERTIA_LEFT_OUT])
         in_base = UNMODELLED_INERTIA in self.finding.tried.base - self.joint.base
@@ -154,7 +151,7 @@ class JointFindings:
             theta = theta.copy()
             theta[[ROTOR_INERTIA, INERTIA_LEFT_OUT]] = rotor, 0.0
             members = members - {UNMODELLED_INERTIA}
-            notes.append(_ROTOR_NOTE.format(rotor))
+            notes = (_ROTOR_NOTE.format(rotor),)
         stated_effects = [
             FittedEffect(name, {p.name: values[f"{name}.{p.name}"] for p in named(name).parameters})
             for name in sorted(members)
@@ -162,7 +159,7 @@ class JointFindings:
         given = self.joint.model.law if self.joint.model else "pd"
         law = given if motor_of(theta) and given != "pd" else None
         model = stated(theta, self.joint.traces[0].load, (*stated_effects, *rounding), law)
-        return replace(model, notes=tuple(notes))
+        return replace(model, notes=notes)
 
     def estimates(self, effect: str) -> dict[str, Estimate]:
         """Parameters of an effect with their spread, by name; empty where the fit has it not.
@@ -175,10 +172,9 @@ class JointFindings:
         link, step = self.finding.link, self.joint.step_rad
         first = named(effect).parameters[0].name
         if link is not None and link.effect == effect:
-            ends = max(link.value - Z90 * link.sd, 0.0), link.value + Z90 * link.sd
-            return {first: Estimate(link.value, link.sd, *ends)}
+            return {first: Estimate.normal(link.value, link.sd, low=0.0)}
         if effect == ROUNDING and step is not None:
-            return {first: Estimate(step, _DIGIT_RAD, step - _DIGIT_RAD, step + _DIGIT_RAD)}
+            return {first: Estimate.normal(step, _DIGIT_RAD)}
         servos, variance = self.enriched.fit.servos, self.enriched.fit.variances
         estimates = {}
         for k, column in enumerate(servos.columns[0]):
@@ -188,7 +184,7 @@ class JointFindings:
             mean = float(servos.theta[0, column])
             law = 0.0 if name.endswith("phase_rad") else law_error(self.enriched, effect) * mean
             sd = float(np.hypot(np.sqrt(variance[k]) * servos.unit[0, k], law))
-            low, high = mean - Z90 * sd, mean + Z90 * sd
+            bounds = float(servos.low[0, k]), float(servos.high[0, k])
             other = partner(self.enriched.members, effect)
             if other is not None:
                 value = float(servos.theta[0, COLUMNS.index(f"{other}.{name}")])
@@ -196,8 +192,8 @@ class JointFindings:
                 low, high = exchangeable_ends(mean, value, distinct)
                 low, high = low - Z90 * law, high + Z90 * law
                 sd = max(high - mean, mean - low) / Z90
-            low, high = max(low, float(servos.low[0, k])), min(high, float(servos.high[0, k]))
-            estimates[name] = Estimate(mean, sd, min(low, mean), max(high, mean))
+                bounds = max(low, bounds[0]), min(high, bounds[1])
+            estimates[name] = Estimate.normal(mean, sd, *bounds)
         return estimates
 
 
@@ -243,13 +239,10 @@ def partner(members: Set, effect: str) -> str | None:
     or limits determine the sum and the product of their time constants. A partner is of the same
     family, acts at another site and has the same parameters.
     """
-    one = named(effect)
-    for other in sorted(members - {effect}):
-        if one.family and named(other).family == one.family:
-            names = [[p.name for p in e.parameters] for e in (one, named(other))]
-            if names[0] == names[1]:
-                return other
-    return None
+    one, known = named(effect), [named(other) for other in sorted(members - {effect})]
+    alike = (other for other in known if one.family and other.family == one.family)
+    names = [p.name for p in one.parameters]
+    return next((x.name for x in alike if [p.name for p in x.parameters] == names), None)
 
 
 def distinctness(tried: Tried, servo: Hypothesis, effect: str, other: str) -> float:

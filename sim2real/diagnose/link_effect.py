@@ -1,4 +1,7 @@
-"""Do set-points arrive at irregular times, or not at all? The more probable of the two effects."""
+"""Do set-points arrive at irregular times, or not at all? The more probable of the two effects.
+
+Both are tested against the noise of ``angle_noise``.
+"""
 
 from __future__ import annotations
 
@@ -22,11 +25,11 @@ T = TypeVar("T")
 MOST_LAGS = 6
 """Largest order of the autoregression of the noise."""
 EFFECTS = ("latency_jitter", "packet_loss")
-HALFWIDTHS_S = np.geomspace(2.5e-4, 0.1, 10)
+_HALFWIDTHS_S = np.geomspace(2.5e-4, 0.1, 10)
 """Halfwidths of the delays from which the search for jitter starts."""
-CORRELATION_STEPS = np.array([-0.2, -0.1, 0.0, 0.1, 0.2])
+_CORRELATION_STEPS = np.array([-0.2, -0.1, 0.0, 0.1, 0.2])
 """Steps by which the correlation of successive delays is refined."""
-FIRST_LOSS = Arrivals(0.02, 0.1)
+_FIRST_LOSS = Arrivals(0.02, 0.1)
 """Losses from which the search for them starts."""
 _STEP = 0.1
 """Relative step by which a curvature is measured."""
@@ -64,7 +67,7 @@ class IrregularTiming:
 def link_of(robot: LinkData) -> IrregularTiming:
     """The better of the two effects on one robot's link; ``gain`` 0 below what is noticed."""
     joints = [with_noise(x, min(robot.lags, MOST_LAGS), robot.least_gain) for x in robot.joints]
-    samples = sum(joint.counts[0] for joint in joints)
+    samples = sum(joint.count for joint in joints)
     negligible = DECISION.link.negligible_gain * samples if robot.noticed else 0.0
     fits = [fit for effect in EFFECTS for fit in fitted(joints, effect)]
     best = max(fits, key=lambda fit: fit.gain)
@@ -82,10 +85,6 @@ def fitted(joints: Sequence[NoisyJoint], effect: str) -> list[LinkFit]:
     return fits
 
 
-_Alternation = tuple[EventFilter, Arrivals, list[Filtered]]
-"""A filter, the most probable arrivals, and what the filter finds with them."""
-
-
 class LinkFit:
     """One effect fitted to the joints of a robot by expectation maximisation.
 
@@ -101,47 +100,46 @@ class LinkFit:
 
     def __init__(self, joints: Sequence[NoisyJoint], effect: str, *, common: bool) -> None:
         self.joints, self.effect, self.common = joints, effect, common
-        self.gain, self.arrivals = 0.0, FIRST_LOSS if effect == "packet_loss" else Arrivals()
+        self.gain, self.arrivals = 0.0, _FIRST_LOSS if effect == "packet_loss" else Arrivals()
         self.noise_models = [joint.noise for joint in joints]
         # The filter's log-likelihood counts the squares, that of the noise alone does not.
-        alone = sum(joint.alone(joint.noise) - 0.5 * joint.counts[0] for joint in joints)
+        alone = sum(joint.refitted(joint.noise)[1] - 0.5 * joint.count for joint in joints)
         starts = [[_typical(joint) for joint in joints], [_white(joint) for joint in joints]]
-        begun = [self._alternated(noise_models, self.arrivals) for noise_models in starts]
-        if max(_total(results) for _, _, results in begun) < alone:
+        begun = [(models, *self._alternated(models, self.arrivals)) for models in starts]
+        if max(_total(results) for *_, results in begun) < alone:
             return
-        guesses = [
-            self._climb(noise_models, self.arrivals, steps=2, first=first)
-            for noise_models, first in zip(starts, begun, strict=True)
-        ]
-        _, arrivals, noise_models = max(guesses, key=lambda guess: guess[0])
-        total, arrivals, noise_models = self._climb(noise_models, arrivals, steps=6)
+        guesses = [self._climb(*guess, steps=2) for guess in begun]
+        _, arrivals, models = max(guesses, key=lambda guess: guess[0])
+        total, arrivals, models = self._climb(models, *self._alternated(models, arrivals), steps=6)
         if total > alone:
-            self.gain, self.arrivals, self.noise_models = total - alone, arrivals, noise_models
+            self.gain, self.arrivals, self.noise_models = total - alone, arrivals, models
 
     def _climb(
         self,
-        noise_models: list[Noise],
+        models: list[Noise],
+        events: EventFilter,
         arrivals: Arrivals,
+        results: list[Filtered],
         steps: int,
-        first: _Alternation | None = None,
     ) -> tuple[float, Arrivals, list[Noise]]:
         """The best log-likelihood, arrivals and noise models of a few alternations."""
-        best: tuple[float, Arrivals, list[Noise]] = (-np.inf, arrivals, noise_models)
+        best: tuple[float, Arrivals, list[Noise]] = (-np.inf, arrivals, models)
         for step in range(steps):
-            known = first if step == 0 else None
-            events, arrivals, results = known or self._alternated(noise_models, arrivals)
-            total = _total(results)
-            gained = total - best[0]
+            if step:
+                models = self._renewed(models, events, arrivals, results)
+                events, arrivals, results = self._alternated(models, arrivals)
+            gained = _total(results) - best[0]
             if gained > 0:
-                best = (total, arrivals, noise_models)
-            if gained < DECISION.link.min_gain or step == steps - 1:
+                best = (_total(results), arrivals, models)
+            if gained < DECISION.link.min_gain:
                 break
-            noise_models = self._renewed(noise_models, events, arrivals, results)
         return best
 
-    def _alternated(self, noise_models: Sequence[Noise], arrivals: Arrivals) -> _Alternation:
+    def _alternated(
+        self, models: Sequence[Noise], arrivals: Arrivals
+    ) -> tuple[EventFilter, Arrivals, list[Filtered]]:
         """The filter with these noise models, and the most likely arrivals under it."""
-        events = self._filter(noise_models)
+        events = self._filter(models)
         return events, *(self._losses if arrivals.loss else self._delays)(events, arrivals)
 
     def _filter(self, noise_models: Sequence[Noise]) -> EventFilter:
@@ -177,9 +175,9 @@ class LinkFit:
             return max(pairs, key=lambda pair: _total(pair[1]))
 
         if arrivals.delay_sd_s:
-            near = np.unique(np.clip(arrivals.correlation + CORRELATION_STEPS, 0.0, 0.95))
+            near = np.unique(np.clip(arrivals.correlation + _CORRELATION_STEPS, 0.0, 0.95))
             return best_of(arrivals.delay_sd_s * np.geomspace(0.6, 1.7, 7), near)
-        middle = best_of(HALFWIDTHS_S / np.sqrt(3), np.array([0.5]))
+        middle = best_of(_HALFWIDTHS_S / np.sqrt(3), np.array([0.5]))
         others = best_of(np.array([middle[0].delay_sd_s]), np.array([0.0, 0.8]))
         return max(middle, others, key=lambda pair: _total(pair[1]))
 
@@ -220,7 +218,7 @@ class LinkFit:
             noise, _ = joint.settled(joint.remodelled(noise, covariance))
             taps = np.append(1.0, -noise.model)
             extra = taps @ (covariance[0] + covariance[1] / noise.ratio**2) @ taps
-            out.append(replace(noise, variance=noise.variance + float(extra) / joint.counts[0]))
+            out.append(replace(noise, variance=noise.variance + float(extra) / joint.count))
         return out
 
     def result(self) -> IrregularTiming:
@@ -277,14 +275,14 @@ def _typical(joint: NoisyJoint) -> Noise:
         for s in joint.segments
     ]
     sd = SD_PER_MEDIAN * float(np.median(np.concatenate(sizes)))
-    return replace(noise, variance=joint.variance(joint.counts[0] * sd**2))
+    return replace(noise, variance=joint.variance(joint.count * sd**2))
 
 
 def _white(joint: NoisyJoint) -> Noise:
     """White noise of the size of the third differences of the residual."""
     third = np.concatenate([np.diff(s.residual, 3)[s.counts[3:]] for s in joint.segments])
     sd = SD_PER_MEDIAN * float(np.median(np.abs(third))) / np.sqrt(20)  # 1 + 9 + 9 + 1
-    variance = joint.variance(joint.counts[0] * sd**2)
+    variance = joint.variance(joint.count * sd**2)
     return Noise(np.zeros_like(joint.noise.model), 1.0, variance, np.zeros(3))
 
 

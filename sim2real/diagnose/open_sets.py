@@ -29,8 +29,7 @@ def rival_sets(
     laws of effects are approximations, so that no probability of a set is certain.
     """
     best, plain = finding.best, finding.tried.plain
-    probable = list(_representatives(joint, finding, most))
-    sets = [_fitted(effects, p, h, plain) for effects, p, h in probable]
+    sets = [_fitted(*one, plain) for one in _representatives(joint, finding, most)]
     sets += _hidden(joint, finding, {one.effects for one in sets}, hidden)
     total = sum(one.probability for one in sets)
     sets = [

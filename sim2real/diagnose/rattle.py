@@ -15,6 +15,8 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.diagnose.decision import DECISION
+from sim2real.servo.trace import Trace
+from sim2real.units import readable
 
 BAND_HZ, LOWEST_HZ = 1.0, 4.0
 """Width of a band of the spectrum, and where bands begin."""
@@ -31,10 +33,31 @@ class Rattle:
     sd_rad: float  # its standard deviation
     ratio: float  # power in the peak's band over the median band
 
-    @property
-    def gap_rad(self) -> float:
-        """Gap that would rattle so."""
-        return self.sd_rad / GAP_SHARE
+    def __str__(self) -> str:
+        """The rattle in words, with the gap that would make it."""
+        size, gap = (readable("gap_rad", x) for x in (self.sd_rad, self.sd_rad / GAP_SHARE))
+        return (
+            f"also at rest: a rattle of {size} near {self.frequency_Hz:.0f} Hz or an alias, as of "
+            f"gears with a gap of {gap}, or a vibration from outside"
+        )
+
+
+def rattles(joints: Sequence[Sequence[Trace]], residuals: Array) -> list[Rattle | None]:
+    """The rattle of each of N joints, None without one, from residuals in rad, shape (N, R, T).
+
+    What several joints have at one frequency is a vibration of the bench.
+    """
+    found = [
+        rattle(
+            [t.t for t in traces], [r[: t.t.size] for t, r in zip(traces, of_joint, strict=False)]
+        )
+        for traces, of_joint in zip(joints, residuals, strict=True)
+    ]
+    alone: list[Rattle | None] = []
+    for one in found:
+        same = [x for x in found if one and x and abs(x.frequency_Hz - one.frequency_Hz) <= BAND_HZ]
+        alone.append(one if len(same) == 1 else None)
+    return alone
 
 
 def rattle(times: Sequence[Array], residuals: Sequence[Array]) -> Rattle | None:
@@ -50,14 +73,13 @@ def rattle(times: Sequence[Array], residuals: Sequence[Array]) -> Rattle | None:
         return None
     power = np.mean([s[:count] for s in spectra], axis=0)
     floor, top = float(np.median(power)), int(power.argmax())
-    below = power[: max(top - 2, 0)]
-    if power[top] < DECISION.report.rattle_ratio * floor or (2 * below > power[top]).any():
+    ratio = float(power[top]) / max(floor, 1e-300)
+    moving = top < 2 or (2 * power[: top - 1] > power[top]).any()
+    if moving or ratio < DECISION.report.rattle_ratio:
         return None
-    if top < 2:  # the motion's own band
-        return None
-    around = power[max(top - 2, 0) : top + 3]
+    around = power[top - 2 : top + 3]
     sd = float(np.sqrt(np.sum(np.maximum(around - floor, 0.0))))
-    return Rattle(LOWEST_HZ + BAND_HZ * (top + 0.5), sd, float(power[top]) / floor)
+    return Rattle(LOWEST_HZ + BAND_HZ * (top + 0.5), sd, ratio)
 
 
 def _bands(t: Array, residual: Array) -> Array:

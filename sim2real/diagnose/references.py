@@ -9,7 +9,6 @@ import numpy as np
 from scipy.special import expit
 
 from sim2real.arrays import Array
-from sim2real.diagnose.baseline import BLOCKS, with_effects
 from sim2real.diagnose.case import Case, JointCase, batch_of, prepared
 from sim2real.diagnose.change import Change, what_changed
 from sim2real.diagnose.contrast import Changes, noise_of
@@ -19,14 +18,12 @@ from sim2real.diagnose.explained import way_of
 from sim2real.diagnose.investigate import ROUNDING, Finding, investigate
 from sim2real.diagnose.reading_noise import without_wrong_readings
 from sim2real.diagnose.result import Experiment
-from sim2real.diagnose.servo_search import ServoSearch, plain_sets
+from sim2real.diagnose.servo_search import BLOCKS, ServoSearch, plain_sets, with_effects
 from sim2real.diagnose.unmodelled import unmodelled
 from sim2real.effects import named
-from sim2real.identification.first_guess import first_guess
-from sim2real.identification.motor_choice import EXPLAINED, choose_motor
-from sim2real.identification.plain_fit import best_of
-from sim2real.identification.priors import motor_prior, of_effects
-from sim2real.identification.problem import Fit
+from sim2real.identification.joint_fit import EXPLAINED, choose_motor
+from sim2real.identification.priors import motor_prior, of_effects, plain_parameters
+from sim2real.identification.problem import Fit, ServoProblem
 from sim2real.identification.search import fit
 from sim2real.identification.servo_problem import (
     Fits,
@@ -38,6 +35,7 @@ from sim2real.identification.servo_problem import (
     minimise,
     plain_servos,
 )
+from sim2real.identification.starts import first_guess
 from sim2real.inference.correlated_noise import correlation_samples
 from sim2real.inference.least_squares import rms
 from sim2real.model import FittedEffect, JointModel, Model
@@ -81,11 +79,12 @@ def law_of(
 ) -> JointModel:
     """The law of the servo that made the references; the linear one where only rests count."""
     load = references[0].load
-    start, others = first_guess(references, rng)
-    plain = best_of(references, np.vstack([start[None], others]))
+    starts = first_guess(references, rng)
+    parameters = plain_parameters(references, starts[0])
+    plain = fit(ServoProblem(references, starts[0], parameters), starts)
     if way_of(references, case) == "rest":
         return stated(plain.row, load)
-    motor = choose_motor(references, plain, servo, sensor_noise(references), rng)
+    motor = choose_motor(references, plain, servo, rng)
     if rms([motor.error]) < EXPLAINED * sensor_noise(references):
         return stated(motor.row, load, motor.effects, motor.law)
     row = _with_losses(motor, servo)

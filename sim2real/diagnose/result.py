@@ -7,13 +7,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
 from scipy.special import ndtri
 
 from sim2real.arrays import Array
 from sim2real.diagnose.rival_sets import SCHEMA, JointRivals, Separation
 from sim2real.diagnose.swim_rivals import SwimRivals
 from sim2real.display import NotebookDisplay, from_report
-from sim2real.inference.normal import LEVEL
+from sim2real.inference.normal import LEVEL, Z90
 from sim2real.model import Model
 from sim2real.noise import ABOVE_NOISE
 from sim2real.output import write_json
@@ -49,18 +50,17 @@ class Mismatch:
 
     def described(self, remaining: float | None = None) -> str:
         """The error, that of the enriched model where there is one, and the noise."""
-        unit, scale, digits = "mrad", 1e3, 2
-        name = self.component
+        name, unit, scale, digits = self.component, "mrad", 1e3, 2
         if self.signal.startswith("body."):
             name = self.signal.removeprefix("body.").replace("_", " ")
             unit, scale, digits = ("rad/s" if name == "yaw rate" else "m/s"), 1.0, 4
-        error, after, noise = (
-            "" if x is None else f"{scale * x:.{digits}f} {unit}"
-            for x in (self.rmse, remaining, self.noise)
-        )
-        removed = f", {after} with the enriched model" if after else ""
+
+        def told(value: float) -> str:
+            return f"{scale * value:.{digits}f} {unit}"
+
+        removed = "" if remaining is None else f", {told(remaining)} with the enriched model"
         where = f"; {self.where}" if self.where else ""
-        return f"{name}: RMSE {error}{removed}, noise {noise}{where}"
+        return f"{name}: RMSE {told(self.rmse)}{removed}, noise {told(self.noise)}{where}"
 
 
 @dataclass(frozen=True)
@@ -75,14 +75,17 @@ class Estimate:
     q05: float
     q95: float
 
+    @classmethod
+    def normal(cls, mean: float, sd: float, low: float = -np.inf, high: float = np.inf) -> Estimate:
+        """With the interval of 90 % of a normal distribution, cut to what is possible."""
+        q05, q95 = max(mean - Z90 * sd, low), min(mean + Z90 * sd, high)
+        return cls(mean, sd, min(q05, mean), max(q95, mean))
+
     def widened(self, ratio: float) -> Estimate:
         """The interval's ends further from the mean by a factor, but never beyond 0."""
         low, high = (self.mean + ratio * (end - self.mean) for end in (self.q05, self.q95))
-        low, high = (
-            max(low, 0.0) if self.q05 >= 0 else low,
-            min(high, 0.0) if self.q95 <= 0 else high,
-        )
-        return replace(self, q05=low, q95=high)
+        low = max(low, 0.0) if self.q05 >= 0 else low
+        return replace(self, q05=low, q95=min(high, 0.0) if self.q95 <= 0 else high)
 
 
 @dataclass(frozen=True)
@@ -197,17 +200,16 @@ class Diagnosis(NotebookDisplay):
 
     def with_intervals(self, level: float) -> Diagnosis:
         """The diagnosis with intervals of another probability than 0.9."""
-        ratio = float(ndtri((1 + level) / 2) / ndtri((1 + LEVEL) / 2))
-
-        def widened(effects: tuple[NamedEffect, ...]) -> tuple[NamedEffect, ...]:
-            return tuple(
-                replace(e, parameters={n: x.widened(ratio) for n, x in e.parameters.items()})
-                for e in effects
-            )
-
         if level == LEVEL:
             return self
-        effects, negligible = widened(self.effects), widened(self.negligible)
+        ratio = float(ndtri((1 + level) / 2) / ndtri((1 + LEVEL) / 2))
+        effects, negligible = (
+            tuple(
+                replace(e, parameters={n: x.widened(ratio) for n, x in e.parameters.items()})
+                for e in listed
+            )
+            for listed in (self.effects, self.negligible)
+        )
         return replace(self, effects=effects, negligible=negligible, interval_level=level)
 
     def remaining(self, signal: str) -> float | None:

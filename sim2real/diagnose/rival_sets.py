@@ -123,20 +123,15 @@ def stated_sets(recordings: Sequence[Recording], joint: str) -> tuple[StatedSet,
     )
 
 
-def design_of(recordings: Sequence[Recording], joint: str) -> list[Fields]:
-    """What the JSON of recordings says of a joint under ``rivals``.
+def design_of(recordings: Sequence[Recording], joint: str | None = None) -> list[Fields]:
+    """What the JSON of recordings says under ``rivals``, of a joint or of all.
 
     Raises:
         InputError: If it is of another form.
     """
-    entries = (entry for recording in recordings for entry in _stated(recording))
-    return [entry for entry in entries if entry.text("component") == joint]
-
-
-def _stated(recording: Recording) -> list[Fields]:
-    """The entries under ``rivals`` in the JSON of a recording."""
-    top = Fields(recording.file, "", recording.metadata)
-    return top.tables("rivals") if "rivals" in top else []
+    tops = (Fields(recording.file, "", recording.metadata) for recording in recordings)
+    entries = [entry for top in tops if "rivals" in top for entry in top.tables("rivals")]
+    return [entry for entry in entries if joint is None or entry.text("component") == joint]
 
 
 def with_open_sets(
@@ -149,7 +144,7 @@ def with_open_sets(
             what the last recording states itself is of another form.
     """
     *others, last = recordings
-    entries = [entry.content for entry in _stated(last)]
+    entries = [entry.content for entry in design_of([last])]
     for rivals in rivals_of_file(path):
         if rivals.component not in last.joints:
             found, expected = rivals.component, f"one of {', '.join(last.joints)}"
@@ -176,21 +171,18 @@ def read_rival_sets(top: Fields) -> tuple[JointRivals, ...]:
     Raises:
         InputError: If a field is missing or of another form.
     """
-    return tuple(_joint(entry) for entry in top.tables("rival_sets"))
-
-
-def _joint(entry: Fields) -> JointRivals:
-    noise = entry.table("noise")
-    load = PER_INERTIA
-    if entry.content.get("load") is not None:
-        load = read_load(entry.table("load"))
-    return JointRivals(
-        component=entry.text("component"),
-        load=load,
-        period_s=noise.number("period_s", above=0),
-        noise_rad=noise.number("innovation_sd_rad", above=0),
-        autoregression=numbers(noise, "autoregression"),
-        sets=tuple(_set(one) for one in entry.tables("sets")),
+    return tuple(
+        JointRivals(
+            component=entry.text("component"),
+            load=PER_INERTIA
+            if entry.content.get("load") is None
+            else read_load(entry.table("load")),
+            period_s=entry.table("noise").number("period_s", above=0),
+            noise_rad=entry.table("noise").number("innovation_sd_rad", above=0),
+            autoregression=numbers(entry.table("noise"), "autoregression"),
+            sets=tuple(_set(one) for one in entry.tables("sets")),
+        )
+        for entry in top.tables("rival_sets")
     )
 
 
@@ -295,21 +287,14 @@ def separations(
     found = []
     for pair in (p for entry in stated if "pairs" in entry for p in entry.tables("pairs")[:most]):
         first, second = (tuple(pair.sentences(name)) for name in ("first", "second"))
-        weights = _weight(probability, first, second), _weight(probability, second, first)
+        weights = []
+        for own, other in ((first, second), (second, first)):
+            # The sets that have what one has more than the other, and no converse.
+            needed, excluded = set(own) - set(other), set(other) - set(own)
+            has = (e for e in probability if needed.issubset(e) and excluded.isdisjoint(e))
+            weights.append(sum(probability[e] for e in has))
         share = max(weights) / sum(weights) if sum(weights) > least else None
         favoured = first if weights[0] >= weights[1] else second
         expected = pair.number("expected")
         found.append(Separation(component, first, second, expected, share, favoured))
     return tuple(found)
-
-
-def _weight(
-    probability: Mapping[tuple[str, ...], float], own: tuple[str, ...], other: tuple[str, ...]
-) -> float:
-    """Probability of the sets that have what ``own`` has more than ``other``, and no converse."""
-    needed, excluded = set(own) - set(other), set(other) - set(own)
-    return sum(
-        p
-        for effects, p in probability.items()
-        if needed.issubset(effects) and excluded.isdisjoint(effects)
-    )

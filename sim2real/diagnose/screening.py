@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -77,26 +77,27 @@ class Screen:
     visible: Array  # score that an effect of just this strength would have, shape (S,)
     count: float  # samples that count
 
-    def of(self, wanted: Mask) -> Screen:
-        """The starts of some candidates; ``wanted`` has one entry a candidate."""
-        some = wanted[self.candidate]
-        names = ("candidate", "start", "score", "blocks", "visible")
-        return replace(self, **{name: getattr(self, name)[..., some] for name in names})
-
     @property
     def gain(self) -> Array:
         """Gain in log-likelihood by each start, its strength free but not its sign, shape (S,)."""
         share = np.minimum(np.maximum(self.score, 0) ** 2 / self.count, 1 - 1e-9)
         return np.asarray(-0.5 * self.count * np.log1p(-share))
 
-    def threshold(self, level: float, rng: np.random.Generator, draws: int = 999) -> float:
-        """Gain that the best start exceeds with probability ``level`` where nothing is missing.
+    def threshold(
+        self,
+        level: float,
+        rng: np.random.Generator,
+        draws: int = 999,
+        starts: Mask | None = None,
+    ) -> float:
+        """Gain that the best of some starts exceeds by chance, with probability ``level``.
 
         The innovations of whole blocks change sign at random, which keeps what correlation and
         change of variance the noise model has missed (the wild bootstrap: Davidson, Flachaire,
         Journal of Econometrics 146 (2008) 162-169). The tail beyond the draws is Gumbel's.
         """
-        centred = self.blocks - self.blocks.mean(axis=0)
+        blocks = self.blocks if starts is None else self.blocks[:, starts]
+        centred = blocks - blocks.mean(axis=0)
         signs = rng.choice([-1.0, 1.0], size=(draws, centred.shape[0]))
         largest = np.maximum(signs @ centred, 0).max(axis=1) ** 2 / 2
         scale = float(largest.std() * np.sqrt(6) / np.pi)
@@ -106,13 +107,12 @@ class Screen:
 
 
 def screen(
-    batch: Batch, fits: Fits, candidates: list[list[Candidate]], *, blocks: int = 20
+    batch: Batch, fits: Fits, candidates: Sequence[list[Candidate]], *, blocks: int = 20
 ) -> list[Screen]:
     """Look at the candidates of every fit, with ``blocks`` blocks of each recording."""
     own = variants(fits.servos)
     free = own.theta.shape[1]
-    starts = [sum(len(c.starts) for c in some) for some in candidates]
-    N, most = len(candidates), max(starts)
+    N, most = len(candidates), max(sum(len(c.starts) for c in some) for some in candidates)
     theta = np.repeat(own.theta[:, :1], free + most, axis=1)
     theta[:, :free] = own.theta
     scale = np.zeros((N, free + most))
@@ -133,10 +133,9 @@ def screen(
     for n, some in enumerate(candidates):
         counts = [len(c.starts) for c in some]
         own_starts = np.concatenate([np.arange(number) for number in counts])
-        labels = np.repeat(np.arange(len(some)), counts), own_starts
-        rows = np.s_[free : free + starts[n]]
-        part = seen.gram[n], seen.square[n, rows], float(seen.count[n])
-        screens.append(Screen(*labels, *_scores(*part, free, rows), part[2]))
+        rows, count = np.s_[free : free + sum(counts)], float(seen.count[n])
+        scores = _scores(seen.gram[n], seen.square[n, rows], count, free, rows)
+        screens.append(Screen(np.repeat(np.arange(len(some)), counts), own_starts, *scores, count))
     return screens
 
 

@@ -1,29 +1,39 @@
-"""What a search for missing effects asks of the servos of a batch: starts, refits, evidence."""
+"""Servos with effects, fitted to the joints of a batch: the plain one, and what a search asks."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sim2real.arrays import Array, Index, Mask
-from sim2real.diagnose.baseline import BLOCKS, as_read, own_parameters, with_effects
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
-from sim2real.diagnose.screening import Candidate, Screen, candidates, screen
+from sim2real.diagnose.screening import NUISANCES, Candidate, Screen, candidate, candidates, screen
 from sim2real.effects import named
 from sim2real.identification.servo_problem import (
     Fits,
     Hypothesis,
+    Servos,
     Set,
     Tried,
     joined,
     minimise,
+    plain_servos,
     stacked,
 )
+from sim2real.identification.starts import servos_at
 from sim2real.inference.evidence import occam_factor
-from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import FIRST_COLUMN
+from sim2real.inference.parameters import kronecker
+from sim2real.model import JointModel
+from sim2real.servo.batch import Batch, Problems
+from sim2real.servo.parameters import (
+    BASE,
+    COLUMNS,
+    FIRST_COLUMN,
+    FIRST_EFFECT_COLUMN,
+    joint_row,
+)
 
 Job = tuple[Tried, Set, Array]
 """What was tried on a joint, the set of effects to refit, and the parameters to start from."""
@@ -34,13 +44,20 @@ _TRAINS = {
     for name in ("backlash", "compliance")
 }
 """Columns of the sizes of gear trains, and sizes from which on they are there."""
+BLOCKS = 20
+"""Blocks of each recording for bootstraps."""
+_SENSOR = {"sensor_gain": "gain", "sensor_offset": "offset_rad"}
+_WAVES = [
+    [COLUMNS.index(f"{effect.name}.{name}_rad") for name in ("period", "phase")]
+    for effect in NUISANCES
+]
+"""Columns of the waves of the angle that every servo has."""
 
 
 @dataclass(frozen=True)
 class SearchLimits:
     """How far the search for effects goes; gains and evidence are in nats."""
 
-    min_rebase_gain: float = 1.0  # by which a plain servo must fit better with other gains
     rivals: int = 10  # sets that are refitted with nothing fixed
     near: float = 80.0  # how far the evidence of such a set may be behind the best
     hopeless_gain: float = 1.0  # at first sight, below which the best start is not followed
@@ -53,7 +70,7 @@ class ServoSearch:
     """What the search asks of the servos of a batch: see ``selection.Problem``.
 
     Attributes:
-        fixed: By case, effects whose parameters stay as they are.
+        fixed: By case, effects whose parameters stay as they are until ``release``.
         singles: Whether every effect by itself is still to be tried.
         unfinished: Cases whose search was ended by its budget, ``DECISION.search_substeps``.
     """
@@ -64,15 +81,14 @@ class ServoSearch:
         self.batch, self.level, self.rng = batch, level, rng
         self.limits = SearchLimits(effort=effort)
         self.fixed: dict[int, Set] = {}
-        self._fixed_before: dict[int, Set] = {}
         self.singles = True
         self.unfinished: set[int] = set()
         self._spent_before = batch.substeps.copy()
         self._screens: dict[tuple[int, Set], tuple[Screen, list[Candidate]]] = {}
 
-    def try_all(self, jobs: Sequence[Job]) -> None:
+    def try_all(self, jobs: Sequence[Job], *, free: bool = False) -> None:
         """Refit sets of effects, and record them."""
-        for (tried, _, _), hypothesis in zip(jobs, self.refit(jobs), strict=True):
+        for (tried, _, _), hypothesis in zip(jobs, self.refit(jobs, free=free), strict=True):
             tried.keep(hypothesis)
 
     def seen(self, tried: Tried, members: Set) -> tuple[Screen, list[Candidate]]:
@@ -116,22 +132,18 @@ class ServoSearch:
         if most is None and not self.singles:
             return []
         seen, options = self.seen(tried, members)
-        gain = seen.gain
-        starts: list[tuple[float, int]] = []
+        starts: list[int] = []
         weakest = most is None and self.remains(tried, members)
         for k, option in enumerate(options):
             mine = np.flatnonzero(seen.candidate == k)
-            best = int(mine[gain[mine].argmax()])
-            if most is not None or gain[best] > self.limits.hopeless_gain:
-                starts.append((float(gain[best]), best))
+            best = int(mine[seen.gain[mine].argmax()])
             visible = mine[seen.visible[mine] > self.limits.least_visible]
+            if most is not None or seen.gain[best] > self.limits.hopeless_gain:
+                starts.append(best)
             if weakest and visible.size and not option.effect.everywhere:
-                weak = int(visible[seen.visible[visible].argmin()])
-                if (float(gain[weak]), weak) not in starts:
-                    starts.append((float(gain[weak]), weak))
-        starts.sort(key=lambda entry: -entry[0])
+                starts.append(int(visible[seen.visible[visible].argmin()]))
         chosen = []
-        for _, index in starts[:most]:
+        for index in sorted(dict.fromkeys(starts), key=lambda start: -seen.gain[start])[:most]:
             option = options[seen.candidate[index]]
             theta = tried.tried[members].fit.servos.theta[0].copy()
             theta[option.columns] = option.starts[seen.start[index]]
@@ -142,8 +154,12 @@ class ServoSearch:
         """The parameter row of the best set, from which every other is refitted."""
         return np.array(tried.best.fit.servos.theta[0])
 
-    def refit(self, jobs: Sequence[Job]) -> list[Hypothesis]:
-        """Refit sets of effects from parameter rows; the best of several starts stands for all."""
+    def refit(self, jobs: Sequence[Job], *, free: bool = False) -> list[Hypothesis]:
+        """Refit sets of effects from parameter rows; the best of several starts stands for all.
+
+        A set is given up where its case has a fit that it can't come near. ``free``: nothing is
+        fixed.
+        """
         if not jobs:
             return []
         servos = [
@@ -152,71 +168,47 @@ class ServoSearch:
                 members,
                 as_read(theta, members),
                 self.strength(tried)[1],
-                self.fixed.get(tried.case, frozenset()),
+                frozenset() if free else self.fixed.get(tried.case, frozenset()),
             )
             for tried, members, theta in jobs
         ]
         rough = minimise(self.batch, stacked(servos), iterations=5, blocks=BLOCKS)
-        best: dict[tuple[int, Set], int] = {}
-        for k, (tried, members, _) in enumerate(jobs):
-            key = (tried.case, members)
-            if key not in best or rough.error2[k] < rough.error2[best[key]]:
-                best[key] = k
-        fits = {key: rough.single(k) for key, k in best.items()}
-        goal = self._goals(jobs, fits)
-        keys = [key for key, k in best.items() if not rough.converged[k]]
-        keys = [
-            key
-            for key in keys
-            if float(fits[key].loglikelihood[0]) + self.limits.promise * _promised(fits[key])
-            > goal[key]
-        ]
-        if keys:
-            goals = np.array([goal[key] for key in keys])
+        sets = list(dict.fromkeys((tried.case, members) for tried, members, _ in jobs))
+        place = np.array([sets.index((tried.case, members)) for tried, members, _ in jobs])
+        order = np.lexsort((rough.error2, place))
+        first = order[np.unique(place[order], return_index=True)[1]]
+        fits = [rough.single(k) for k in first]
+        top = {tried.case: float(tried.best.fit.loglikelihood[0]) for tried, _, _ in jobs}
+        for (case, _), fit in zip(sets, fits, strict=True):
+            top[case] = max(top[case], float(fit.loglikelihood[0]))
+        goals = np.array(
+            [-np.inf if _GAIN in s else top[case] - self.limits.near for case, s in sets]
+        )
+        reach = np.array([x.loglikelihood[0] + self.limits.promise * _promised(x) for x in fits])
+        left = np.flatnonzero(~rough.converged[first] & (reach > goals))
 
-            def hopeless(places: Index, _: Array, losses: Array, promised: Array) -> Mask:
-                reachable = self.limits.promise * promised - losses[places]
-                return np.asarray(reachable < goals[places])
+        def hopeless(places: Index, _: Array, losses: Array, promised: Array) -> Mask:
+            reachable = self.limits.promise * promised - losses[places]
+            return np.asarray(reachable < goals[left][places])
 
-            servos_left = rough.servos[np.array([best[key] for key in keys])]
-            fine = minimise(
-                self.batch, servos_left, iterations=15, blocks=BLOCKS, hopeless=hopeless
-            )
-            fits.update((key, fine.single(n)) for n, key in enumerate(keys))
+        if left.size:
+            start = rough.servos[first[left]]
+            fine = minimise(self.batch, start, iterations=15, blocks=BLOCKS, hopeless=hopeless)
+            for n, k in enumerate(left):
+                fits[k] = fine.single(n)
         return [
-            Hypothesis(s, fits[tried.case, s], evidence_of(fits[tried.case, s], s - tried.base))
-            for tried, s, _ in jobs
+            Hypothesis(members, fits[k], evidence_of(fits[k], members - tried.base))
+            for (tried, members, _), k in zip(jobs, place, strict=True)
         ]
-
-    def _goals(
-        self, jobs: Sequence[Job], fits: Mapping[tuple[int, Set], Fits]
-    ) -> dict[tuple[int, Set], float]:
-        """Log-likelihood from which each set matters, among those of its case."""
-        top: dict[int, float] = {}
-        for tried, members, _ in jobs:
-            here = float(fits[tried.case, members].loglikelihood[0])
-            known = float(tried.best.fit.loglikelihood[0])
-            top[tried.case] = max(here, known, top.get(tried.case, -np.inf))
-        near = {case: x - self.limits.near for case, x in top.items()}
-        return {
-            (tried.case, members): -np.inf if _GAIN in members else near[tried.case]
-            for tried, members, _ in jobs
-        }
 
     def release(self, cases: Sequence[Tried]) -> None:
         """Refit the most probable sets of each case, and the plain one, with nothing fixed.
 
         What was fixed was fitted with the most probable set of that time, and favours it.
         """
-        fixed = [
-            (tried, h)
-            for tried in cases
-            if self.fixed.get(tried.case)
-            for h in self.compared(tried)
-        ]
-        self._fixed_before, self.fixed = self.fixed, {}
+        fixed = [(t, h) for t in cases if self.fixed.get(t.case) for h in self.compared(t)]
         jobs = [(tried, h.members, h.fit.servos.theta[0]) for tried, h in fixed]
-        for (tried, h), refitted in zip(fixed, self.refit(jobs), strict=True):
+        for (tried, h), refitted in zip(fixed, self.refit(jobs, free=True), strict=True):
             more = float(refitted.fit.loglikelihood[0] - h.fit.loglikelihood[0])
             # All are as free: what freedom costs is the same for each.
             if more > 0:
@@ -226,20 +218,11 @@ class ServoSearch:
     def compared(self, tried: Tried) -> list[Hypothesis]:
         """The sets that are compared: the best, the best without each effect, its rivals."""
         best = tried.best
+        scaled, least = _GAIN in best.members, best.evidence - self.limits.near
         near = sorted(tried.tried.values(), key=lambda h: -h.evidence)[: self.limits.rivals]
-        scaled = _GAIN in best.members
-        sets = [
-            h.members
-            for h in near
-            if h.evidence > best.evidence - self.limits.near or (_GAIN in h.members) != scaled
-        ]
+        sets = [h.members for h in near if h.evidence > least or (_GAIN in h.members) != scaled]
         sets += [tried.base, *(best.members - {e} for e in best.members - tried.base)]
         return [tried.tried[s] for s in dict.fromkeys(sets) if s in tried.tried]
-
-    def resume(self, cases: Sequence[Tried]) -> None:
-        """Fix again in some cases what was fixed before ``release``; try single effects as well."""
-        self.singles = True
-        self.fixed = {t.case: self._fixed_before.get(t.case, frozenset()) for t in cases}
 
     def remains(self, tried: Tried, members: Set) -> bool:
         """Whether some effect would still explain more than chance.
@@ -250,6 +233,16 @@ class ServoSearch:
         largest = float(self.seen(tried, members)[0].gain.max())
         return gain > limit or largest > DECISION.decisive_gain
 
+    def remaining_gain(self, tried: Tried, members: Set) -> tuple[float, float]:
+        """Largest gain that an effect would still make, and what chance would make.
+
+        What every servo has a little of does not count: it is named only where it is large.
+        """
+        seen, options = self.seen(tried, members)
+        counted = np.array([not option.effect.everywhere for option in options])[seen.candidate]
+        limit = min(seen.threshold(self.level, self.rng, starts=counted), DECISION.decisive_gain)
+        return float(seen.gain[counted].max()), limit
+
     def exhausted(self, tried: Tried) -> bool:
         """Whether a case that would be searched further has spent its budget; noted down if so.
 
@@ -259,27 +252,6 @@ class ServoSearch:
         if spent > self.limits.effort * DECISION.search_substeps:
             self.unfinished.add(tried.case)
         return tried.case in self.unfinished
-
-    def remaining_gain(self, tried: Tried, members: Set) -> tuple[float, float]:
-        """Largest gain that an effect would still make, and what chance would make.
-
-        What every servo has a little of does not count: it is named only where it is large.
-        """
-        seen, options = self.seen(tried, members)
-        counted = seen.of(np.array([not option.effect.everywhere for option in options]))
-        limit = min(counted.threshold(self.level, self.rng), DECISION.decisive_gain)
-        return float(counted.gain.max()), limit
-
-    def rebased(self, cases: Sequence[Tried]) -> list[Tried]:
-        """Those whose plain servo fits better with the gains that the best single effect found."""
-        before = [tried.plain.evidence for tried in cases]
-        self.try_all([(tried, tried.base, self.start(tried, tried.base)) for tried in cases])
-        better = []
-        for tried, old in zip(cases, before, strict=True):
-            if tried.plain.evidence > old + self.limits.min_rebase_gain:
-                better.append(tried)
-                del self._screens[tried.case, tried.base]
-        return better
 
     def strength(self, tried: Tried) -> tuple[float, float]:
         """The plain servo's gain and inertia."""
@@ -293,8 +265,7 @@ def plain_sets(plain: Fits, bases: Sequence[Set] | None = None) -> list[Tried]:
     for j in range(plain.count.size):
         base: Set = bases[j] if bases else frozenset()
         fit = plain.single(j)
-        hypothesis = Hypothesis(base, fit, evidence_of(fit, frozenset()))
-        cases.append(Tried(j, base, {base: hypothesis}))
+        cases.append(Tried(j, base, {base: Hypothesis(base, fit, evidence_of(fit, frozenset()))}))
     return cases
 
 
@@ -321,3 +292,100 @@ def evidence_of(fit: Fits, added: Set) -> float:
     nuisance = int(own_parameters(fit.servos).sum())
     occam = occam_factor(information, DECISION.prior_sd, nuisance=nuisance)
     return float(fit.loglikelihood[0] - occam[0]) + len(added) * LOG_PRIOR
+
+
+def baselines(
+    batch: Batch,
+    given: Sequence[JointModel | None] = (),
+    *,
+    candidates: int = 256,
+    refined: int = 3,
+) -> Fits:
+    """Fit the plain servo to every joint of a batch, with no guess by hand.
+
+    Starts are ``candidates`` servos, and ``given`` models, one a joint, where there are any.
+    """
+    J, K = batch.recordings.size, candidates
+    inertia = batch.load[batch.first_signal, 0]
+    theta = np.zeros((J, K, len(COLUMNS)))
+    theta[:, :, :3] = servos_at(kronecker(K, 3, np.random.default_rng(0)), inertia[:, None])
+    joint = np.repeat(np.arange(J, dtype=np.int32), K)
+    problems = Problems(joint, theta.reshape(J * K, 1, -1), np.zeros((J * K, 1)))
+    white = np.zeros((J * K, batch.lags))
+    looks = batch.evaluate(problems, autoregression=white, rough=True)
+    best = np.argsort(looks.square[:, 0].reshape(J, K), axis=1)[:, :6]
+    starts = np.take_along_axis(theta, best[:, :, None], axis=1)
+    if any(given):
+        known = starts[:, :1].copy()
+        for j, model in enumerate(given):
+            if model is not None:
+                known[j] = joint_row(model, None)
+        starts = np.concatenate([starts, known], axis=1)
+        starts[:, :, len(BASE) :] = known[:, :, len(BASE) :]
+    K = starts.shape[1]
+    joint, rows = np.repeat(np.arange(J), K), starts.reshape(J * K, -1)
+    servos = plain_servos(joint, rows, inertia[joint], batch.period, free_line=True)
+    rough = minimise(batch, servos, iterations=12, white=True)
+    order = np.argsort(rough.error2.reshape(J, K), axis=1)[:, :refined]
+    pick = (np.arange(J)[:, None] * K + order).ravel()
+    fine = minimise(batch, rough[pick].servos, iterations=12, blocks=BLOCKS)
+    best = fine.error2.reshape(J, -1).argmin(axis=1)
+    return fine[np.arange(J) * order.shape[1] + best]
+
+
+def plain_again(batch: Batch, known: Sequence[Tried]) -> Fits:
+    """Fit the plain servos that are known of such a batch, one a joint, to this one."""
+    servos = []
+    for j, tried in enumerate(known):
+        plain, inertia = tried.plain.fit.servos, float(batch.load[batch.first_signal[j], 0])
+        servo = with_effects(plain, tried.base, plain.theta[0], inertia, tried.base)
+        servos.append(servo.of_joints([j]))
+    return minimise(batch, stacked(servos), iterations=12, blocks=BLOCKS)
+
+
+def with_effects(
+    plain: Servos, effects: Set, theta: Array, inertia: float, fixed: Set = frozenset()
+) -> Servos:
+    """A servo whose gains, latency, line and parameters of effects are free, from a row (P,).
+
+    Effects are scaled to the kp of the plain servo and an inertia in kg m2; those that are
+    ``fixed`` stay as they are in ``theta``, and other effects are dropped.
+    """
+    kp = float(plain.theta[0, 0])
+    options = [candidate(named(e), kp, inertia) for e in sorted(effects) if named(e).fitted]
+    row = np.zeros_like(theta)
+    row[:FIRST_EFFECT_COLUMN] = theta[:FIRST_EFFECT_COLUMN]
+    for option in options:
+        row[option.columns] = theta[option.columns]
+    added = [option for option in options if option.effect.name not in fixed]
+    own = own_parameters(plain)
+    free = (
+        np.concatenate([getattr(plain, field)[0, own], *(getattr(c, field) for c in added)])[None]
+        for field in ("columns", "unit", "low", "high")
+    )
+    return Servos(plain.joint, row[None], *free)
+
+
+def own_parameters(servos: Servos) -> Mask:
+    """Which of one servo's free parameters are no effect's, shape (F,)."""
+    columns = servos.columns[0]
+    return np.asarray((columns >= 0) & (columns < FIRST_EFFECT_COLUMN))
+
+
+def as_read(theta: Array, members: Set) -> Array:
+    """A row (P,) whose waves of the angle are as the sensor shows them, where its errors leave.
+
+    Where a gain or an offset of the sensor is not among the members, what stands for it bends the
+    servo as much. No fit mends a period that is off by some of its waves.
+    """
+    gain, offset = (
+        0.0 if effect in members else theta[COLUMNS.index(f"{effect}.{name}")]
+        for effect, name in _SENSOR.items()
+    )
+    row = theta.copy()
+    for period, phase in _WAVES:
+        if row[period] > 0 and (gain or offset):
+            row[period] *= 1 + gain
+            turned = row[phase] - 2 * np.pi * offset / row[period]
+            row[phase] = (turned + np.pi) % (2 * np.pi) - np.pi
+    return row

@@ -8,12 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.diagnose.baseline import BLOCKS, with_effects
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
-from sim2real.diagnose.servo_search import ServoSearch, evidence_of
+from sim2real.diagnose.servo_search import BLOCKS, ServoSearch, evidence_of, with_effects
 from sim2real.effects import named
-from sim2real.identification.motor_choice import without_flat_limit
 from sim2real.identification.problem import ServoProblem
 from sim2real.identification.servo_problem import (
     FLAT_COLUMNS,
@@ -24,6 +22,7 @@ from sim2real.identification.servo_problem import (
     Tried,
     minimise,
     plain_servos,
+    without_flat_limit,
 )
 from sim2real.model import JointModel, Law
 from sim2real.recording import PER_INERTIA

@@ -29,7 +29,7 @@ def named_groups(results: Mapping[str, JointFindings]) -> list[Named]:
         for group in result.finding.groups:
             if group.probability < DECISION.named:
                 continue
-            head = group.members[0]
+            head = group.head
             if head in SET_ANEW or named(head).component == "joint":
                 groups.append(Named(group, (joint,), joint))
             else:
@@ -42,10 +42,9 @@ def named_groups(results: Mapping[str, JointFindings]) -> list[Named]:
         own = any(link is not None and len(link.shares) == 1 for link in links)
         place: str = joints[0] if own or len(results) == 1 else named(effect).component
         groups.append(Named(most_probable, joints, place))
-        if len(joints) > 1:
-            mimicked.update(named(effect).mimics)
+        mimicked.update(named(effect).mimics if len(joints) > 1 else ())
     # What something of the supply or the link, seen on several joints, looks like on one.
-    groups = [entry for entry in groups if entry.group.members[0] not in mimicked]
+    groups = [entry for entry in groups if entry.group.head not in mimicked]
     return sorted(groups, key=lambda entry: -entry.group.probability)
 
 
@@ -56,16 +55,16 @@ def split_by_size(
 
     The latter are not listed next to a mismatch without a name.
     """
+    nameless = any(x.finding.mismatch and x.finding.unexplained for x in results.values())
     large: list[Named] = []
     small: list[Named] = []
     for entry in groups:
-        changes = (
-            results[name].finding.changes(results[name].unseen, entry.group.members[0])
-            for name in entry.joints
-        )
-        (small if all(change < negligible for change in changes) else large).append(entry)
-    if any(x.finding.mismatch and x.finding.unexplained for x in results.values()):
-        small = []
+        of_joints = (results[name] for name in entry.joints)
+        changes = [one.finding.changes(one.unseen, entry.group.head) for one in of_joints]
+        if max(changes) >= negligible:
+            large.append(entry)
+        elif not nameless:
+            small.append(entry)
     return large, small
 
 

@@ -28,7 +28,7 @@ from sim2real.diagnose.unmodelled import measured_only, simulated_angle
 from sim2real.diagnose.verdict import Named, named_groups, rivals, split_by_size, verdict
 from sim2real.effects import SET_ANEW, named, plain
 from sim2real.findings import all_findings
-from sim2real.inference.normal import NINE_IN_TEN, Z90
+from sim2real.inference.normal import NINE_IN_TEN
 from sim2real.inference.segments import Window, robust_sd, windows
 from sim2real.model import FittedEffect, Model
 from sim2real.output import provenance
@@ -60,10 +60,11 @@ def diagnosis(
     large, small = split_by_size(results, groups, least)
     inputs = [r.path for r in (*case.recordings, *case.references) if r.path]
     origin = provenance([*inputs, *([case.robot.path] if case.robot.path else [])], seed)
-    links = [joint.finding.link for joint in joints if joint.finding.link is not None]
-    link_values = {link.effect: link.value for link in links}
+    links = {f.link.effect: f.link.value for f in (j.finding for j in joints) if f.link is not None}
     enriched_fit = {joint.signal: joint.fit(enriched=True) for joint in joints}
-    enriched = {joint.name: joint.model(enriched=True) for joint in joints}
+    enriched, plain_models = (
+        {joint.name: joint.model(enriched=which) for joint in joints} for which in (True, False)
+    )
     return Diagnosis(
         verdict=verdict(joints, large, small, referred=bool(case.references)),
         mismatch=tuple(_mismatch(joint) for joint in joints if joint.finding.mismatch),
@@ -84,27 +85,25 @@ def diagnosis(
             body=case.model.body if case.model else {},
             effects=tuple(
                 FittedEffect(effect, {named(effect).parameters[0].name: value})
-                for effect, value in link_values.items()
+                for effect, value in links.items()
             ),
             fit=enriched_fit,
             provenance=dict(origin),
             arm=case.robot.arm,
         ),
-        baseline=Model(
-            joints={joint.name: joint.model(enriched=False) for joint in joints}, arm=case.robot.arm
-        ),
+        baseline=Model(joints=plain_models, arm=case.robot.arm),
         provenance=origin,
     )
 
 
 def _named_effect(results: Mapping[str, JointFindings], entry: Named) -> NamedEffect:
     group, result = entry.group, results[entry.joints[0]]
-    estimates = [results[joint].estimates(group.members[0]) for joint in entry.joints]
+    estimates = [results[joint].estimates(group.head) for joint in entry.joints]
     parameters = _combined([estimate for estimate in estimates if estimate])
     before = result.finding.tried.plain.fit.servos.theta[0]
     after = result.enriched.fit.servos.theta[0]
     return NamedEffect(
-        effect=group.members[0],
+        effect=group.head,
         component=entry.component,
         probability=group.probability,
         group=group.members,
@@ -129,15 +128,14 @@ def _combined(estimates: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate
         # Never narrower than the joints' own disagreement.
         spread = float(np.sqrt(np.average((means - mean) ** 2, weights=weight)))
         sd = float(max(1 / np.sqrt(weight.sum()), spread))
-        low = min(mean, max(mean - Z90 * sd, min(e[name].q05 for e in estimates)))
-        high = max(mean, min(mean + Z90 * sd, max(e[name].q95 for e in estimates)))
-        combined[name] = Estimate(mean, sd, low, high)
+        ends = min(e[name].q05 for e in estimates), max(e[name].q95 for e in estimates)
+        combined[name] = Estimate.normal(mean, sd, *ends)
     return combined
 
 
 def _statement(entry: Named, parameters: Mapping[str, Estimate], result: JointFindings) -> str:
     """One sentence: the joints, the effect with the size of its parameters, and its rivals."""
-    head = entry.group.members[0]
+    head = entry.group.head
     clause = f"there is {plain(head)}"
     if head in SET_ANEW:
         clause = _set_anew(head, parameters)
@@ -152,20 +150,19 @@ def _statement(entry: Named, parameters: Mapping[str, Estimate], result: JointFi
 
 def _set_anew(name: str, parameters: Mapping[str, Estimate]) -> str:
     """A parameter that was set anew, relative to the references: "kp x 0.51, 0.50 to 0.52"."""
+    x = parameters["ratio" if "ratio" in parameters else "change_s"]
+    ends = x.mean, x.q05, x.q95
     if "ratio" in parameters:
-        x = parameters["ratio"]
-        what = name.replace("_", " ")
-        return f"{what} x {three_digits(x.mean)}, {three_digits(x.q05)} to {three_digits(x.q95)}"
-    ends = [parameters["change_s"].mean, parameters["change_s"].q05, parameters["change_s"].q95]
-    mean, low, high = (f"{1e3 * x:+.1f}" for x in ends)
+        mean, low, high = map(three_digits, ends)
+        return f"{name.replace('_', ' ')} x {mean}, {low} to {high}"
+    mean, low, high = (f"{1e3 * end:+.1f}" for end in ends)
     return f"{name} {mean} ms, {low} to {high} ms"
 
 
 def _of_link(entry: Named, result: JointFindings, *, listed: int = 3) -> str:
     """Further sentences on the link: correlated delays, bursts, times of losses."""
-    finding = result.finding
-    link = finding.link
-    if link is None or entry.group.members[0] != link.effect:
+    link = result.finding.link
+    if link is None or entry.group.head != link.effect:
         return ""
     if link.effect == "latency_jitter":
         alike = f" Successive delays have a correlation of {link.correlation:.1f}."
@@ -176,7 +173,7 @@ def _of_link(entry: Named, result: JointFindings, *, listed: int = 3) -> str:
         text += " the set-points of all joints." if link.common else " its own set-points."
     times = [
         f"{time:.2f} s of {trace.name}"
-        for trace, some in zip(result.joint.traces, link.lost_s[finding.place], strict=True)
+        for trace, some in zip(result.joint.traces, link.lost_s[result.finding.place], strict=True)
         for time in some
     ]
     if not times:
@@ -187,9 +184,8 @@ def _of_link(entry: Named, result: JointFindings, *, listed: int = 3) -> str:
 
 
 def _mismatch(joint: JointFindings) -> Mismatch:
-    finding, traces, noise, rmse = joint.finding, joint.joint.traces, joint.joint.noise, joint.error
-    segments = _segments(joint)
-    smooth, count = finding.unmodelled.smooth, float(finding.best.fit.count[0])
+    segments, noise, rmse = _segments(joint), joint.joint.noise, joint.error
+    smooth, count = joint.finding.unmodelled.smooth, float(joint.finding.best.fit.count[0])
     driven = sorted(smooth.shares.items(), key=lambda entry: -entry[1])
     return Mismatch(
         signal=joint.signal,
@@ -197,7 +193,7 @@ def _mismatch(joint: JointFindings) -> Mismatch:
         rmse=rmse,
         noise=noise,
         share=max(0.0, 1 - (noise / rmse) ** 2) if rmse > 0 else 0.0,
-        windows_s={t.name: w for t, w in zip(traces, segments, strict=True)},
+        windows_s={t.name: w for t, w in zip(joint.joint.traces, segments, strict=True)},
         where=_where(joint, segments),
         # Shares of the innovations' energy that a smooth function of each state explains.
         dependence={x: float(1 - np.exp(-2 * max(gain, 0.0) / count)) for x, gain in driven},
@@ -206,13 +202,13 @@ def _mismatch(joint: JointFindings) -> Mismatch:
 
 def _segments(joint: JointFindings) -> list[tuple[Window, ...]]:
     """The segments of each recording in which the mismatch is largest."""
-    finding, traces, noise = joint.finding, joint.joint.traces, joint.joint.noise
-    without = finding.unmodelled
-    if finding.unknown > DECISION.named and without.windows is not None:
-        return list(without.windows)
-    if finding.unknown > DECISION.named and without.smooth.state == "jump":
-        instants = without.smooth.jumps_s
-        return [((at, float(t.t[-1])),) for at, t in zip(instants, traces, strict=True)]
+    traces, noise, without = joint.joint.traces, joint.joint.noise, joint.finding.unmodelled
+    if joint.finding.unknown > DECISION.named:
+        if without.windows is not None:
+            return list(without.windows)
+        if without.smooth.state == "jump":
+            pairs = zip(without.smooth.jumps_s, traces, strict=True)
+            return [((at, float(t.t[-1])),) for at, t in pairs]
     rows = measured_only(joint.before, traces)
     everywhere = np.concatenate(rows)
     spread = robust_sd(everywhere, np.zeros(everywhere.size, dtype=bool))
@@ -223,6 +219,8 @@ def _segments(joint: JointFindings) -> list[tuple[Window, ...]]:
 def _where(joint: JointFindings, segments: Sequence[tuple[Window, ...]]) -> str:
     """The states, or the segments, in which a mismatch occurs."""
     without, traces = joint.finding.unmodelled, joint.joint.traces
+    if joint.finding.rattle is not None:
+        return str(joint.finding.rattle)
     state, gain = max(without.smooth.shares.items(), key=lambda entry: entry[1])
     driven = gain > DECISION.report.driving_gain
     words = _WORDS[state] if driven else "the residual depends on no single state"
@@ -247,6 +245,8 @@ def with_checks(found: Diagnosis, case: Case, joints: Sequence[JointFindings]) -
         for recording in case.recordings
         for finding in all_findings(recording, case.robot)
     )
+    # Sets of a change against references are not all fitted, and no design states them.
+    designed = [(joint, design_of(case.recordings, joint.name)) for joint in joints]
     return replace(
         found,
         gate=tuple(dict.fromkeys(checks)),
@@ -255,12 +255,9 @@ def with_checks(found: Diagnosis, case: Case, joints: Sequence[JointFindings]) -
         detection_limits=tuple(limit for joint in joints for limit in _limits(joint)),
         separations=tuple(
             pair
-            for joint in joints
-            # sets of a change against references are not all fitted, and no design states them
-            if (stated := design_of(case.recordings, joint.name))
-            for pair in separations(
-                joint.name, stated, set_probabilities(joint.joint, joint.finding)
-            )
+            for one, stated in designed
+            if stated
+            for pair in separations(one.name, stated, set_probabilities(one.joint, one.finding))
         ),
         rival_sets=tuple(
             rival_sets(joint.joint, joint.finding)
@@ -273,13 +270,12 @@ def with_checks(found: Diagnosis, case: Case, joints: Sequence[JointFindings]) -
 
 
 def _evidence(joint: JointFindings) -> list[JointSeries]:
-    kp, kd = (float(x) for x in joint.finding.tried.plain.fit.servos.theta[0, :2])
+    kp, kd = joint.finding.tried.plain.fit.servos.theta[0, :2].tolist()
     series = []
     for trace, before, after in zip(joint.joint.traces, joint.before, joint.after, strict=False):
         baseline, enriched = (simulated_angle(residual, trace) for residual in (before, after))
-        position = trace.measured
         servo = (trace.load.inertia_kgm2, kd, kp + trace.load.gravity_Nm)
-        error = np.where(trace.used, baseline - position, np.nan)
+        error = np.where(trace.used, baseline - trace.measured, np.nan)
         torque, sd = residual_torque(trace.t, error, servo, joint.joint.noise)
         effects_torque, _ = residual_torque(trace.t, baseline - enriched, servo, joint.joint.noise)
         series.append(
@@ -288,10 +284,10 @@ def _evidence(joint: JointFindings) -> list[JointSeries]:
                 recording=trace.name,
                 t=trace.t,
                 command=trace.command,
-                position=position,
+                position=trace.measured,
                 baseline=baseline,
                 enriched=enriched,
-                speed=smooth_speed(trace.t, position),
+                speed=smooth_speed(trace.t, trace.measured),
                 torque=torque,
                 torque_sd=sd,
                 effects_torque=effects_torque,

@@ -14,6 +14,7 @@ import pkgutil
 import sys
 import zlib
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -48,9 +49,11 @@ MOST_EFFECTS = 62
 
 
 def _discovered(kind: str) -> list[Any]:
+    """The effects in a folder, with the names of their files."""
     package = importlib.import_module(f"{__name__}.{kind}")
     names = sorted(module.name for module in pkgutil.iter_modules(package.__path__))
-    return [importlib.import_module(f"{package.__name__}.{name}").EFFECT for name in names]
+    modules = (importlib.import_module(f"{package.__name__}.{name}") for name in names)
+    return [replace(module.EFFECT, name=name) for name, module in zip(names, modules, strict=True)]
 
 
 CATALOGUE: tuple[Effect, ...] = tuple(_discovered("servo"))

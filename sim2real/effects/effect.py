@@ -6,8 +6,17 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+import warp as wp
+
 from sim2real.inference.parameters import Parameter
 from sim2real.units import readable
+
+F = wp.float64
+"""A number, in the signature of a term."""
+Row = wp.array(dtype=wp.float64)
+"""A row of numbers: a joint's parameters or its memory."""
+Table = wp.array2d(dtype=wp.float64)
+"""A row of numbers for each rollout."""
 
 Site = Literal["arrival", "command", "error", "motor", "load", "friction", "inertia", "sensor"]
 """Sites where terms act, from the sent command to the measured angle.
@@ -66,18 +75,27 @@ def scaled(parameter: Parameter, kp_Nm_per_rad: float, inertia_kgm2: float) -> P
     return replace(parameter, **ends)
 
 
-@dataclass(frozen=True)
+class _Size(str):
+    """A magnitude with its unit; formatted as ``a|b`` it is a for a positive value, else b."""
+
+    positive: bool
+
+    def __format__(self, choice: str) -> str:
+        return choice.split("|")[not self.positive] if choice else str(self)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Effect:
     """Physics that the plain PD servo omits.
 
     An effect is absent while all its parameters are 0.
     """
 
-    name: str  # its fixed identifier
+    name: str = ""  # its fixed identifier: the name of its file
     plain: str  # description for use in a sentence
     # the finding as a clause, with names of parameters in braces, which are replaced by magnitudes
-    # with units. If the words depend on the values (the sign of a parameter, the larger of two), a
-    # function from the values to this clause
+    # with units; {name:a|b} is a where the parameter is positive, else b. If the words depend on
+    # the values in another way, a function from the values to this clause
     says: str | Callable[[Mapping[str, float]], str]
     site: Site  # where its term acts
     term: Any  # the term, a Warp function (see ``Site``)
@@ -119,7 +137,8 @@ class Effect:
     def statement(self, values: Mapping[str, float], *, per_inertia: bool = False) -> str:
         """The finding as a clause, from its parameters by name, SI, ``per_inertia`` or not."""
         template = self.says if isinstance(self.says, str) else self.says(values)
-        sizes = {
-            name: readable(name, abs(x), per_inertia=per_inertia) for name, x in values.items()
-        }
+        sizes = {}
+        for name, x in values.items():
+            sizes[name] = _Size(readable(name, abs(x), per_inertia=per_inertia))
+            sizes[name].positive = x > 0
         return template.format(**sizes)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
@@ -39,6 +39,7 @@ from sim2real.servo.parameters import SOFT
 FRICTION_AND_ROTOR = ("coulomb_friction", "unmodelled_inertia")
 """Effects that every target expresses."""
 STEPS = ("fractions of a step of the latency", "a delay is a whole number of physics steps")
+INERTIA_ONLY = "the link here has inertia only"
 JITTER = "part of latency_jitter"
 ONE_LIMIT = (
     f"damping beyond {SATURATION} ({{:.6g}} N m s/rad)",
@@ -46,72 +47,69 @@ ONE_LIMIT = (
 )
 
 
+Lines = Sequence[LeftOut]
+Text = Callable[[Sequence[Actuator], Robot | None, Lines], str]
+
+
+def _of_the_link(servo: Actuator) -> list[LeftOut]:
+    """Inertia that a target with an armature leaves to the link."""
+    load = f"inertia of the load ({servo.inertia:.6g} kg m2)"
+    lines = [LeftOut(servo.joint, load, "it belongs to the link")]
+    if servo.beyond_load < 0:
+        why = "an armature cannot be negative; subtract it from the link's inertia"
+        lines.insert(0, LeftOut(servo.joint, "unmodelled_inertia", why))
+    return lines
+
+
 @dataclass(frozen=True)
 class Target:
     """A simulator or format that actuators are exported to."""
 
-    # text of a model's actuators, from the model, the robot or None as source of limits, and parts
-    # that were dropped from the model, to be listed
-    write: Callable[..., Export]
-    # effects of the catalogue that it expresses, and ``motor.NAME`` of the motor
-    has: tuple[str, ...]
-    # those of one joint, with the limit of its drive
-    expressed: Callable[[JointModel], Collection[str]]
+    name: str  # in sentences
+    text: Text  # of servos, the robot or None as source of limits, and lines to be listed
+    has: Sequence[str] = FRICTION_AND_ROTOR  # effects of the catalogue, ``motor.NAME``
+    # of ``latency``, ``BEYOND_LIMIT`` and effects that it expresses in part: what it lacks, and why
+    partly: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    lacks: Mapping[str, str] = field(default_factory=dict)  # why it lacks an effect, see `LACKS`
+    damping: str = ""  # name of a drive's damping, if it is apart from the back-EMF
+    also: Callable[[Actuator], list[LeftOut]] = _of_the_link  # what else it lacks
 
+    def expressed(self, joint: JointModel) -> set[str]:
+        """What it expresses of one joint, with the limit of its drive."""
+        return {*self.has, *limit_effects(joint)}
 
-Text = Callable[[Sequence[Actuator], Robot | None, Sequence[LeftOut]], str]
-
-
-def _target(
-    has: Sequence[str], text: Text, lacks: Callable[[Actuator], list[LeftOut]], damping: str = ""
-) -> Target:
-    """A target with this text; ``damping`` is its name of a drive's, apart from the back-EMF."""
-
-    def write(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
+    def write(self, model: Model, robot: Robot | None = None, dropped: Lines = ()) -> Export:
+        """The text of a model's actuators; ``dropped`` are parts to be listed as well."""
         servos: list[Actuator] = []
         lines: list[LeftOut] = []
         for servo in actuators(model, robot):
-            if damping:
-                servo, moved = limit_with_back_emf(servo, damping)
+            if self.damping:
+                servo, moved = limit_with_back_emf(servo, self.damping)
                 lines += moved
             servos.append(servo)
-            lines += lacks(servo)
+            lines += left_out(servo, self.name, self.has, self.lacks)
+            beyond = servo.damping_beyond if servo.current_limit is not None else 0.0
+            values = {"latency": servo.latency, BEYOND_LIMIT: beyond, **servo.effects}
+            for part, (what, why) in self.partly.items():
+                if values.get(part):
+                    lines.append(LeftOut(servo.joint, what.format(values[part]), why))
+            lines += self.also(servo)
         lines += [*dropped, *shared_left_out(model)]
-        return Export(text(servos, robot, lines), tuple(lines))
-
-    return Target(write, tuple(has), lambda joint: {*has, *limit_effects(joint)})
+        return Export(self.text(servos, robot, lines), tuple(lines))
 
 
-def _python(
-    name: str,
-    text: Callable[[Sequence[Actuator]], str],
-    has: tuple[str, ...],
-    partly: Mapping[str, tuple[str, str]],
-    lacks: Mapping[str, str] | None = None,
-    damping: str = "",
-) -> Target:
-    """A simulator that is configured by Python text."""
+class MuJoCo:
+    """MuJoCo, whose file has a bench for each joint, as a target."""
 
-    def lacking(servo: Actuator) -> list[LeftOut]:
-        lines = left_out(servo, name, has, lacks or {})
-        beyond = servo.damping_beyond if servo.current_limit is not None else 0.0
-        values = {"latency": servo.latency, BEYOND_LIMIT: beyond, **servo.effects}
-        for part, (what, why) in partly.items():
-            if values.get(part):
-                lines.append(LeftOut(servo.joint, what.format(values[part]), why))
-        if servo.beyond_load < 0:
-            why = "an armature cannot be negative; subtract it from the link's inertia"
-            lines.append(LeftOut(servo.joint, "unmodelled_inertia", why))
-        load = f"inertia of the load ({servo.inertia:.6g} kg m2)"
-        return [*lines, LeftOut(servo.joint, load, "it belongs to the link")]
-
-    def written(servos: Sequence[Actuator], _: Robot | None, lines: Sequence[LeftOut]) -> str:
-        return comment(head(lines)) + text(servos)
-
-    return _target(has, written, lacking, damping)
+    has, expressed, write = HAS, staticmethod(expressed), staticmethod(mujoco)
 
 
-def _urdf_text(servos: Sequence[Actuator], robot: Robot | None, lines: Sequence[LeftOut]) -> str:
+def _python(text: Callable[[Sequence[Actuator]], str]) -> Text:
+    """Text of a program, below comments on what it does not express."""
+    return lambda servos, _, lines: comment(head(lines)) + text(servos)
+
+
+def _urdf_text(servos: Sequence[Actuator], robot: Robot | None, lines: Lines) -> str:
     """A URDF (http://wiki.ros.org/urdf/XML) with one link on each joint.
 
     ``damping`` and ``friction`` of ``<dynamics>`` are positive and oppose the motion. Of the
@@ -143,7 +141,7 @@ def _urdf_text(servos: Sequence[Actuator], robot: Robot | None, lines: Sequence[
 
 
 def _not_in_urdf(servo: Actuator) -> list[LeftOut]:
-    damping, inertia_only = servo.passive_damping, "the link here has inertia only"
+    damping = servo.passive_damping
     kd = servo.kd + servo.back_emf - damping
     there = "a URDF has no controller; set it there"
     beside = f"{there}, in addition to the damping of {damping:.6g} N m s/rad in the joint"
@@ -159,16 +157,14 @@ def _not_in_urdf(servo: Actuator) -> list[LeftOut]:
         ("latency", servo.latency, "s", there),
         ("torque limit", limit, "N m", limits),
         ("damping", clipped, "N m s/rad", below),
-        ("pendulum", servo.gravity, "N m", inertia_only),
+        ("pendulum", servo.gravity, "N m", INERTIA_ONLY),
         ("unmodelled_inertia", servo.beyond_load, "kg m2", added),
     )
-    lines = [
+    return [
         LeftOut(servo.joint, f"{name} ({value:.6g} {unit})", why)
         for name, value, unit, why in rows
         if value
     ]
-    weight = f"{inertia_only}; add the weight to your link"
-    return lines + left_out(servo, "URDF", FRICTION_AND_ROTOR, {"gravity_load": weight})
 
 
 LAW = (
@@ -177,7 +173,7 @@ LAW = (
 )
 
 
-def _json_text(servos: Sequence[Actuator], _: Robot | None, lines: Sequence[LeftOut]) -> str:
+def _json_text(servos: Sequence[Actuator], _: Robot | None, lines: Lines) -> str:
     """JSON with all identified parameters of the joints, and the law as a formula."""
     joints: dict[str, dict[str, Any]] = {}
     for servo in servos:
@@ -202,38 +198,36 @@ def _json_text(servos: Sequence[Actuator], _: Robot | None, lines: Sequence[Left
     return json.dumps(finite_json(content), indent=2, allow_nan=False) + "\n"
 
 
-TARGETS: Mapping[str, Target] = {
-    "mujoco": Target(mujoco, HAS, expressed),
-    "isaaclab": _python(
+TARGETS: Mapping[str, Target | MuJoCo] = {
+    "mujoco": MuJoCo(),
+    "isaaclab": Target(
         "Isaac Lab",
-        isaaclab_text,
+        _python(isaaclab_text),
         (*FRICTION_AND_ROTOR, "latency_jitter", "stribeck_friction", SATURATION),
         {
             "latency": STEPS,
             "latency_jitter": (JITTER, "the delay is drawn at a reset, not for each set-point"),
             "stribeck_friction": (
-                "velocity_rad_s of stribeck_friction",
-                "friction drops as soon as the joint moves",
+                "velocity_rad_s of stribeck_friction", "friction drops as soon as the joint moves",
             ),
             BEYOND_LIMIT: ONE_LIMIT,
         },
     ),
-    "mjlab": _python(
+    "mjlab": Target(
         "mjlab",
-        mjlab_text,
+        _python(mjlab_text),
         (*FRICTION_AND_ROTOR, "latency_jitter", *SOFT),
         {
             "latency": STEPS,
             "latency_jitter": (
-                JITTER,
-                "the delay is drawn at each physics step, not for each set-point",
+                JITTER, "the delay is drawn at each physics step, not for each set-point",
             ),
         },
         damping="damping",
     ),
-    "newton": _python(
+    "newton": Target(
         "Newton",
-        newton_text,
+        _python(newton_text),
         (*FRICTION_AND_ROTOR, *SOFT, SATURATION),
         {BEYOND_LIMIT: ONE_LIMIT, "latency": STEPS},
         {
@@ -241,18 +235,19 @@ TARGETS: Mapping[str, Target] = {
             "latency_jitter": "a delay is constant",
         },
     ),
-    "genesis": _python(
+    "genesis": Target(
         "Genesis",
-        genesis_text,
-        FRICTION_AND_ROTOR,
-        {
-            "latency": (
-                "latency ({:.6g} s)",
-                "position control has no delay; delay the set-points by this time",
-            )
-        },
+        _python(genesis_text),
+        partly={"latency": (
+            "latency ({:.6g} s)", "position control has no delay; delay the set-points by this time"
+        )},
     ),
-    "urdf": _target(FRICTION_AND_ROTOR, _urdf_text, _not_in_urdf),
-    "json": _target([effect.name for effect in CATALOGUE], _json_text, lambda servo: []),
-}
+    "urdf": Target(
+        "URDF", _urdf_text, lacks={"gravity_load": f"{INERTIA_ONLY}; add the weight to your link"},
+        also=_not_in_urdf,
+    ),
+    "json": Target(
+        "JSON", _json_text, [e.name for e in CATALOGUE], also=lambda servo: []
+    ),
+}  # fmt: skip
 """By the name that ``export-servo --to`` takes."""

@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from sim2real.arrays import Array
+from sim2real.effects import named
 from sim2real.identification.control_loop import undetected_loop
+from sim2real.identification.joint_fit import refitted
 from sim2real.identification.problem import Fit
-from sim2real.identification.search import errors_of
+from sim2real.identification.search import error_on
 from sim2real.identification.uncertainty import Uncertainty, uncertainty
 from sim2real.inference.least_squares import rms
 from sim2real.inference.parameters import column
@@ -28,29 +29,21 @@ _MATERIAL = 0.05
 
 
 def on_recordings(recordings: Sequence[Recording], still: Sequence[str]) -> tuple[str, ...]:
-    """Notes on joints that do not move and on recordings made in water."""
+    """Notes on joints that do not move, recordings in water, and other gains of the firmware."""
     notes = [f"{joint} does not move in these recordings and is not identified" for joint in still]
     wet = [recording.name for recording in recordings if recording.medium == "water"]
     if wet:
         notes.append(f"recorded in water ({', '.join(wet)}): drag and added mass bias the gains")
-    return tuple(notes)
-
-
-def on_gains(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """A note on recordings with other gains of the firmware."""
     gains = {recording.name: firmware_gain(recording) for recording in recordings}
-    known = [gain for gain in gains.values() if gain is not None]
-    if len(set(gains.values())) < 2:
-        return ()
-    others = ", ".join(f"{gain:g}" for gain in dict.fromkeys(known[1:]) if gain != known[0])
-    notes = []
-    if others:
+    known = list(dict.fromkeys(gain for gain in gains.values() if gain is not None))
+    if len(known) > 1:
+        others = ", ".join(f"{gain:g}" for gain in known[1:])
         notes.append(
             f"kp is that of the firmware gain {known[0]:g}; recordings with a gain of {others} "
             "were fitted with kp in proportion to it"
         )
     unknown = ", ".join(name for name, gain in gains.items() if gain is None)
-    if unknown:
+    if known and unknown:
         notes.append(f"{unknown}: no firmware_p_gain is stated, and {known[0]:g} was assumed")
     return tuple(notes)
 
@@ -209,24 +202,20 @@ def on_motor(motor: Fit, spread: Uncertainty, servo: Servo) -> list[str]:
     return notes
 
 
-def on_optima(
-    names: Sequence[str], values: Array, half_width: Array, optima: Sequence[Array] | Array
-) -> list[str]:
-    """A note on the other optimum that differs most, if one fits the recordings as well.
-
-    Of F columns, their values (F,), half-widths of their intervals (F,) and values at other optima
-    with the same loss, each of shape (F,).
-    """
-    apart = [np.abs(other - values) > half_width for other in optima]
-    if not any(differs.any() for differs in apart):
+def on_optima(best: Fit, spread: Uncertainty) -> list[str]:
+    """A note on the other optimum that differs most, if one fits the recordings as well."""
+    half_width = spread.half_width * best.problem.unit
+    half_width = np.where(best.problem.log, best.values * np.expm1(half_width), half_width)
+    limit = 2.0 if best.problem.ties is not None else spread.least_loss
+    apart = best.problem.values(best.as_good(limit)) - best.values
+    differs = np.abs(apart) > half_width
+    if not differs.any():
         return []
-    most = max(range(len(apart)), key=lambda k: int(apart[k].sum()))
+    most = int(differs.sum(axis=1).argmax())
     differences = ", ".join(
-        f"{readable_name(name)} {other:.3g} instead of {value:.3g}"
-        for name, value, other, differs in zip(
-            names, values, optima[most], apart[most], strict=True
-        )
-        if differs
+        f"{readable_name(best.names[k])} {best.values[k] + apart[most, k]:.3g} "
+        f"instead of {best.values[k]:.3g}"
+        for k in np.flatnonzero(differs[most])
     )
     return [
         f"another optimum fits these recordings as well, with {differences}; recordings of other "
@@ -234,17 +223,18 @@ def on_optima(
     ]
 
 
-def on_inertia(fixed: Fit, free: Fit, scored: Sequence[Trace], stated: Load) -> list[str]:
+def on_inertia(fixed: Fit, scored: Sequence[Trace], stated: Load) -> list[str]:
     """A note where the data contradict the stated inertia, for instance because of a geared rotor.
 
     It requires an inertia that differs significantly, and a better fit of held-out data as well.
     """
+    free = refitted(fixed.problem.traces, fixed.row, [named("unmodelled_inertia")])
     spread = uncertainty(free, repeating=False)
     extra, sd = float(free.row[INERTIA_LEFT_OUT]), float(spread.sd[3] * free.problem.unit[3])
     before, after = (rms([f.error]) for f in (fixed, free))
-    heldout = [rms(errors_of(f.row, scored)) for f in (fixed, free)]
+    heldout = [error_on(f.row, scored) or 0.0 for f in (fixed, free)]
     significant = abs(extra) > max(3 * sd, _MATERIAL * stated.inertia_kgm2)
-    if not significant or after > 0.95 * before or (scored and heldout[1] > heldout[0]):
+    if not significant or after > 0.95 * before or heldout[1] > heldout[0]:
         return []
     shift = 1e3 * (free.row[2] - fixed.row[2])
     return [

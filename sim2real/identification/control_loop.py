@@ -17,11 +17,12 @@ from sim2real.arrays import Array, Index
 from sim2real.identification.priors import MotorPrior
 from sim2real.identification.problem import Fit, ServoProblem
 from sim2real.identification.search import fit, search
-from sim2real.servo.parameters import BASE, COLUMNS, LINE, LOOP, ROTOR
-from sim2real.servo.rollout import Simulator
+from sim2real.inference.parameters import apart
+from sim2real.servo.parameters import BASE, COLUMNS, LINE, LOOP, ROTOR, beyond_load
 from sim2real.servo.trace import Trace
 
 _KP, _KD, _LATENCY = (BASE.index(n) for n in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"))
+_STALL = COLUMNS.index(LINE[0])
 _LOOP = [COLUMNS.index(name) for name in LOOP]
 _RATES_HZ = (90.0, 1100.0)
 """Range of rates; faster loops are not distinguishable from continuous ones."""
@@ -67,7 +68,7 @@ def _searched(problem: ServoProblem, rows: Array, noise: tuple[float, float], st
     found = []
     for row in rows:
         own = replace(problem, row=row)
-        x, loss, _, _ = search(own, own.searched(row[None]), noise, steps)
+        x, loss, _ = search(own, own.searched(row[None]), noise, steps)
         found.append((float(loss[0]), own.rows(x)[0]))
     best: Array = min(found, key=lambda pair: pair[0])[1]
     return best
@@ -126,26 +127,22 @@ def _arrivals(
     return sent, delay, spread
 
 
-def _effect_of_delay(motor: Fit, trace: Trace, step: Index, *, longest_s: float = 1e-3) -> Array:
-    """Derivatives of the angle by the delay of each step, rad/s, shape (T, K)."""
-    shifted = [trace]
-    for k in step:
-        delay = min(longest_s, 0.5 * float(trace.t[k + 1] - trace.t[k]))
-        variant = replace(
-            trace,
-            t=np.insert(trace.t, k + 1, trace.t[k] + delay),
-            command=np.insert(trace.command, k, trace.command[k - 1]),
-            position=np.insert(trace.position, k, np.nan),
-            used=np.insert(trace.used, k, False),
-        )
-        shifted.append(variant)
-    substeps = motor.problem.substeps(motor.row[None])
-    angle = Simulator(shifted).angles(motor.row[None], substeps)
-    derivatives = [
-        (np.delete(rollout[0], k + 1) - angle[0][0]) / (variant.t[k + 1] - variant.t[k])
-        for k, rollout, variant in zip(step, angle[1:], shifted[1:], strict=True)
-    ]
-    return np.stack(derivatives, axis=1)
+def _effect_of_delay(motor: Fit, trace: Trace, step: Index) -> Array:
+    """Derivatives of the angle by the delay of each step, rad/s, shape (T, K).
+
+    As far as the motor's torque allows, minus the speed at which a linear servo responds to it.
+    """
+    kp, kd, latency = (float(x) for x in motor.row[:3])
+    inertia = trace.load.inertia_kgm2 + float(beyond_load(motor.row))
+    roots = np.roots([inertia, kd, kp + trace.load.gravity_Nm]).astype(complex)
+    roots[1] += 1e-6 * abs(roots[1])  # they differ
+    change, stall = np.diff(trace.command, prepend=trace.command[0])[step], motor.row[_STALL]
+    if stall > 0:
+        change = np.clip(change, -stall / kp, stall / kp)
+    since = np.maximum(trace.t[:, None] - trace.t[step] - latency, 0.0)
+    response = kp / inertia / (roots[0] - roots[1])
+    waves = np.exp(roots[0] * since) - np.exp(roots[1] * since)
+    return np.asarray(-change * np.real(response * waves))
 
 
 def _rates(times: Array, spread: Array, *, count: int = 6) -> Array:
@@ -161,16 +158,11 @@ def _rates(times: Array, spread: Array, *, count: int = 6) -> Array:
         begin = np.exp(2j * np.pi * rates[first] * times)
         coherence = np.abs(np.einsum("rk,rk,k->r", weight, turned[: hz.size], begin)) ** 2
         power[first : first + block] = coherence / np.maximum((weight**2).sum(axis=1), 1e-9)
-    chosen: list[float] = []
-    for k in np.argsort(-power):
-        if all(abs(rates[k] - other) > 5 * fine for other in chosen):
-            chosen.append(float(rates[k]))
-        if len(chosen) == count:
-            break
-    for lower in [rate / n for rate in chosen for n in (2, 3)]:  # of harmonics
-        if lower > _RATES_HZ[0] and all(abs(lower - other) > 5 * fine for other in chosen):
-            chosen.append(lower)
-    return np.array(chosen)
+    order = np.argsort(-power)
+    chosen = rates[order[apart(rates[order, None], 5 * fine, count)]]
+    lower = np.concatenate([chosen, chosen / 2, chosen / 3])  # of harmonics
+    lower = lower[lower > _RATES_HZ[0]]
+    return np.asarray(lower[apart(lower[:, None], 5 * fine)])
 
 
 def _starts(

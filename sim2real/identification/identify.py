@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
@@ -13,15 +12,17 @@ from sim2real.effects import named
 from sim2real.effects.effect import Effect
 from sim2real.errors import InputError, check_choice, check_positive, check_whole, names_of
 from sim2real.identification import advice
-from sim2real.identification.motor_choice import choose_motor
-from sim2real.identification.plain_fit import fit_effects, fit_plain, with_inertia
+from sim2real.identification.joint_fit import (
+    choose_motor,
+    fit_effects,
+    fit_plain,
+)
 from sim2real.identification.priors import MOTOR_SHEET, gains
 from sim2real.identification.problem import Fit
-from sim2real.identification.search import continued, errors_of
+from sim2real.identification.search import error_on, fit
 from sim2real.identification.uncertainty import (
     GAINS,
     Uncertainty,
-    as_good,
     beyond_data_sheet,
     intervals,
     uncertainty,
@@ -92,10 +93,9 @@ def identify(
     options = _Options(tuple(extra), effort, interval, refit, bool(warnings))
 
     def identify_joint(joint: str) -> tuple[JointModel, dict[str, float | None], str]:
-        data = traces(recordings, joint)
+        data, notes = traces(recordings, joint), []
         servo = _servo(robot, joint, law or ("pd" if extra else None))
         check_samples(split(data, held_out)[0], joint)
-        notes = []
         if law is None and not extra and servo is None:
             notes = advice.on_data_sheet(robot, joint, MOTOR_SHEET)
         return _identify_joint(data, held_out, servo, seed + moving.index(joint), notes, options)
@@ -108,9 +108,7 @@ def identify(
     return Model(
         joints={joint: model for joint, (model, _, _) in results.items()},
         fit={f"{joint}.position_rad": figures for joint, (_, figures, _) in results.items()},
-        notes=warnings
-        + advice.on_recordings(recordings, [j for j in recorded if j not in moving])
-        + advice.on_gains(recordings),
+        notes=warnings + advice.on_recordings(recordings, [j for j in recorded if j not in moving]),
         provenance=origin | {"held_out": {j: held for j, (_, _, held) in results.items()}},
         firmware_p_gain=next(filter(None, map(firmware_gain, recordings)), None),
         interval_level=interval,
@@ -121,7 +119,7 @@ def fitted_joint(data: list[Trace], servo: Servo | None, seed: int = 0) -> Joint
     """The model of one joint from all its recordings, without intervals and notes."""
     sheet = servo if servo is not None and servo.states(*MOTOR_SHEET) else None
     found = _fits(data, sheet, _Options(), seed)
-    return _joint_model(found.best, {}, None, data[0].load, (), found.motor)
+    return _joint_model(found, {}, None, data[0].load, ())
 
 
 def _servo(robot: Robot, joint: str, law: Law | None) -> Servo | None:
@@ -142,11 +140,11 @@ def _check_inputs(recordings: Sequence[Recording], robot: Robot, held_out: str |
         if np.isnan(recording.command).all():
             found, expected = "no J.command_rad column", "the set-points that were sent"
             raise InputError(recording.file, "header", found, expected)
-        for other in recordings[:1]:
-            for joint in set(recording.joints) & set(other.joints):
-                if (joint in recording.loads) != (joint in other.loads):
-                    found = f"a load for {joint} here or in {other.file}, not in both"
-                    raise InputError(recording.file, "loads", found, "one in all or in none")
+        other = recordings[0]
+        for joint in set(recording.joints) & set(other.joints):
+            if (joint in recording.loads) != (joint in other.loads):
+                found = f"a load for {joint} here or in {other.file}, not in both"
+                raise InputError(recording.file, "loads", found, "one in all or in none")
     names = [recording.name for recording in recordings]
     if held_out is not None and held_out not in names:
         raise InputError("--held-out", "", repr(held_out), f"one of {', '.join(names)}")
@@ -182,20 +180,24 @@ def _fits(
     before: _JointFits | None = None,
 ) -> _JointFits:
     """Choose what is fitted to one joint, from the fits to a part of the data if there are some."""
-    rng, noise, effects = np.random.default_rng(seed), sensor_noise(data), options.effects
+    rng, effects = np.random.default_rng(seed), options.effects
+
+    def again(fewer: Fit) -> Fit:
+        problem = replace(fewer.problem, traces=data)
+        return fit(problem, fewer.minima, rounds=3, first=10, later=10, effort=options.effort)
+
     if before is None or before.without_influence:
-        plain, without_influence = fit_plain(data, noise, rng, servo, options.effort)
+        plain, without_influence = fit_plain(data, rng, servo, options.effort)
     else:
-        plain, without_influence = continued(before.plain, data, effort=options.effort), []
+        plain, without_influence = again(before.plain), []
     motor: Fit | None = None
     if servo is not None and not without_influence:
         losses = not effects or data[0].varying is None
         fewer = None if before is None else before.motor
-        motor = choose_motor(data, plain, servo, noise, rng, losses=losses, before=fewer)
+        motor = choose_motor(data, plain, servo, rng, losses=losses, before=fewer)
     base = best = motor if motor is not None and BASE[0] in motor.names else plain
     if effects:
-        again = None if before is None else continued(before.best, data, effort=options.effort)
-        best = again or fit_effects(data, base, effects, rng)
+        best = fit_effects(data, base, effects, rng) if before is None else again(before.best)
     return _JointFits(plain, without_influence, motor, base, best)
 
 
@@ -209,29 +211,26 @@ def _identify_joint(
 ) -> tuple[JointModel, dict[str, float | None], str]:
     """The model of one joint, its errors and what was held out for them."""
     fitted, scored, held_out_name = split(data, held_out)
-    load = data[0].load
+    load, pendulum = data[0].load, shows_inertia(data)
     found = _fits(fitted, servo, options, seed)
-    figures: dict[str, float | None] = {"heldout": _heldout(found.best, scored)}
+    figures = {"heldout": error_on(found.best.row, scored)}
     if options.effects:
-        figures["heldout_without_effects"] = _heldout(found.base, scored)
+        figures["heldout_without_effects"] = error_on(found.base.row, scored)
         figures["train_without_effects"] = rms([found.base.error])
-        if not shows_inertia(data) and any(e.name == "unmodelled_inertia" for e in options.effects):
+        if not pendulum and any(e.name == "unmodelled_inertia" for e in options.effects):
             notes.append(
                 "unmodelled_inertia is not identifiable: it needs a pendulum or two known loads"
             )
-    known = load is not PER_INERTIA and data[0].varying is None and shows_inertia(data)
+    known = load is not PER_INERTIA and data[0].varying is None and pendulum
     if found.best is found.plain and known:
-        notes += advice.on_inertia(found.best, with_inertia(found.best), scored, load)
+        notes += advice.on_inertia(found.best, scored, load)
     if scored and options.refit:  # now that it has been scored
         found = _fits(data, servo, options, seed, found)
     best, motor = found.best, found.motor
     spread = uncertainty(best, level=options.interval)
-    ends = intervals(best, spread)
+    ends = {p.name: (p.low, np.inf) for p in gains(best.inertia)} | intervals(best, spread)
     if not options.effects:
-        half_width = spread.half_width * best.problem.unit
-        half_width = np.where(best.problem.log, best.values * np.expm1(half_width), half_width)
-        others = as_good(best, spread)
-        notes += advice.on_optima(best.names, best.values, half_width, others)
+        notes += advice.on_optima(best, spread)
     if motor is not None and servo is not None:
         motor_spread = spread if motor is best else uncertainty(motor, level=options.interval)
         notes += advice.on_motor(motor, motor_spread, servo)
@@ -240,43 +239,32 @@ def _identify_joint(
         if wait > 0:
             ends["latency_s"] = (max(latency - wait, 0.0), latency + wait)
         ends |= beyond_data_sheet(motor, ends, servo)
-    ends = {p.name: (p.low, np.inf) for p in gains(best.inertia)} | ends
     ringing = advice.on_ringing(best, best.problem.traces)
     if ringing:
         ends |= {name: (0.0, np.inf) for name in GAINS}
     notes += ringing + advice.on_weight(data)
-    figures = _figures(best, sensor_noise(data)) | figures
-    notes += advice.on_fit(best, spread, ends, found.without_influence, figures, options.warned)
-    model = _joint_model(best, ends, spread, load, tuple(notes), motor)
-    return model, figures, held_out_name
-
-
-def _heldout(best: Fit, scored: Sequence[Trace]) -> float | None:
-    errors = errors_of(best.row, scored)
-    return rms(errors) if errors else None
-
-
-def _figures(best: Fit, noise: float) -> dict[str, float | None]:
     errors = [e for e in best.residuals if e.size]
-    return {
+    time = float(np.mean([correlation_samples(e) for e in errors]))
+    figures = {
         "train": rms(errors),
         "heldout": None,
-        "noise": noise,
+        "noise": sensor_noise(data),
         "whiteness": whiteness(errors),
-        "correlation_time_s": float(np.mean([correlation_samples(e) for e in errors]))
-        * best.problem.traces[0].period_s,
+        "correlation_time_s": time * best.problem.traces[0].period_s,
         "robust_outliers": float(np.mean(np.abs(best.error) > 4 * best.scale_rad)),
-    }
+    } | figures
+    notes += advice.on_fit(best, spread, ends, found.without_influence, figures, options.warned)
+    return _joint_model(found, ends, spread, load, tuple(notes)), figures, held_out_name
 
 
 def _joint_model(
-    best: Fit,
+    found: _JointFits,
     ends: dict[str, tuple[float, float]],
     spread: Uncertainty | None,
     load: Load,
     notes: tuple[str, ...],
-    motor: Fit | None,
 ) -> JointModel:
+    best, motor = found.best, found.motor
     of_law = motor.effects if motor is not None else ()
     effects = {fitted.effect: dict(fitted.parameters) for fitted in of_law}
     for name, value in zip(best.names, best.values, strict=True):
@@ -284,11 +272,7 @@ def _joint_model(
         if effect and effect != "motor":
             effects.setdefault(effect, {})[parameter] = float(value)
     model = stated(best.row, load, [FittedEffect(*entry) for entry in effects.items()])
-    correlation = {}
-    if spread is not None:
-        for i, j in combinations(range(len(best.names)), 2):
-            pair = f"{best.names[i]}, {best.names[j]}"
-            correlation[pair] = float(spread.correlation[i, j])
+    correlation = {} if spread is None else spread.by_pair(best.names)
     fitted = motor is None or any(name.startswith("motor.") for name in best.names)
     return replace(
         model,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -44,12 +43,6 @@ def gains(inertia: float) -> tuple[Parameter, Parameter, Parameter]:
         Parameter(BASE[1], 1e-3 * inertia, 1.6e3 * inertia, LOG_UNIT, log=True),
         Parameter(BASE[2], 0.0, 0.5, 0.05),
     )
-
-
-def inertia_left_out(row: Array, inertia: float) -> Parameter:
-    """Inertia missing from the stated load; negative if the stated inertia is too large."""
-    size = inertia + float(row[INERTIA_LEFT_OUT])
-    return Parameter(COLUMNS[INERTIA_LEFT_OUT], -0.9 * inertia, 20.0 * inertia, size)
 
 
 def scale_inertia(traces: Sequence[Trace], row: Array) -> float:
@@ -102,35 +95,31 @@ class Ties:
 
     # controller that the reported drive shows; None if the servo does not report it
     drive: ReportedDrive | None = None
-    # standard deviation of the logarithm of the gain that the reported drive shows, and of that of
-    # the damping
-    reported_sd: float = 0.01
-    # scale of the logarithm of the damping about that by the back-EMF, with long tails, as the
-    # controller may add damping
-    back_emf_sd: float = 0.3
     # median of the share of the damping that a limit of the current leaves, and the standard
     # deviation of its logarithm; None for a torque-speed line
     damping_share: tuple[float, float] | None = None
 
-    def terms(self, rows: Array) -> Array:
+    def terms(self, rows: Array, *, reported_sd: float = 0.01, back_emf_sd: float = 0.3) -> Array:
         """Residuals whose squares are twice the negative logarithm of the prior, (B, P) to (B, 2).
 
-        The rows are parameters of servos with a motor's line.
+        The rows are parameters of servos with a motor's line. Logarithms of gain and damping that
+        the reported drive shows have the standard deviation ``reported_sd``. Without it damping is
+        about that by the back-EMF, on the scale ``back_emf_sd`` with the tails of a Cauchy
+        distribution, as the controller may add damping.
         """
         columns = [COLUMNS.index(name) for name in (*BASE[:2], *LINE)]
         kp, kd, stall, no_load_speed = np.log(np.maximum(rows[:, columns], 1e-300)).T
-        none = np.zeros_like(kp)
+        none, damping = np.zeros_like(kp), kd - stall + no_load_speed
         if self.damping_share is not None:
             middle, sd = self.damping_share
-            return np.stack([(kd - stall + no_load_speed + np.log(middle)) / sd, none], axis=1)
+            return np.stack([(damping + np.log(middle)) / sd, none], axis=1)
         if self.drive is None:
-            damping = (kd - stall + no_load_speed) / self.back_emf_sd
-            # tails of a Cauchy distribution
-            return np.stack([np.sign(damping) * np.sqrt(np.log1p(damping**2)), none], axis=1)
+            ratio = damping / back_emf_sd
+            return np.stack([np.sign(ratio) * np.sqrt(np.log1p(ratio**2)), none], axis=1)
         back_emf = np.exp(stall - no_load_speed)
         damping = kd - np.log(back_emf + self.drive.lead_s * np.exp(kp))
         gain = kp - stall - np.log(self.drive.per_rad)
-        return np.stack([damping, gain], axis=1) / self.reported_sd
+        return np.stack([damping, gain], axis=1) / reported_sd
 
 
 @dataclass(frozen=True)
@@ -158,58 +147,31 @@ class MotorPrior:
         in N m s/rad.
         """
         middle = float(np.exp(self[LINE[0]].nominal)) / kd / damping_share[0]
-        flat = self.changed(
-            LINE[1],
-            low=middle / 10,
-            high=middle * 100,
-            typical=2 * damping_share[1],
-            nominal=np.log(middle),
-            prior_sd=np.inf,
-        )
-        return replace(flat, ties=Ties(damping_share=damping_share))
-
-    def changed(self, name: str, **fields: Any) -> MotorPrior:  # noqa: ANN401 - of any field
-        """The prior with other fields of one parameter."""
-        changed = (replace(p, **fields) if p.name == name else p for p in self.parameters)
-        return replace(self, parameters=tuple(changed))
+        unit, nominal = 2 * damping_share[1], np.log(middle)
+        speed = Parameter(LINE[1], middle / 10, middle * 100, unit, nominal, log=True)
+        changed = tuple(speed if p.name == LINE[1] else p for p in self.parameters)
+        return MotorPrior(changed, Ties(damping_share=damping_share))
 
 
-def motor_prior(
-    servo: Servo,
-    traces: Sequence[Trace],
-    *,
-    stall_sd: float = 0.35,
-    unknown_stall_sd: float = 1.5,
-    speed_sd: float = 0.25,
-    loss_width: float = 1.0,
-    reported_sd: float = Ties.reported_sd,
-) -> MotorPrior:
-    """The prior of a servo's law from its data sheet and, if it is reported, its drive.
+def motor_prior(servo: Servo, traces: Sequence[Trace]) -> MotorPrior:
+    """The prior of a servo's law from its data sheet and, if its recordings report it, its drive.
 
     A servo that reports its drive shows its controller: kp is that gain times the stall torque, the
     damping that of the back-EMF and of the controller's derivative term, and the latency is known
     to a sampling period. Torque and speed of the data sheet are those of the motor's line without
-    friction, within the prior's width. The rotor inertia follows from a motor's time constant; the
+    friction, within the prior's width; where the inertia is unknown, to which the torque is
+    relative, the torque is wide. The rotor inertia follows from a motor's time constant; the
     ratios of friction are those of spur gears with ratios of hundreds (Duclusaud and others, ICRA
     2025: 0.05 to 0.4).
-
-    Args:
-        servo: The data sheet.
-        traces: The joint's recordings.
-        stall_sd: Standard deviation of the logarithm of stall torque about the data sheet.
-        unknown_stall_sd: The same where the inertia is unknown, to which the torque is relative.
-        speed_sd: Standard deviation of the logarithm of no-load speed about the data sheet.
-        loss_width: Factor on the standard deviations of losses and friction.
-        reported_sd: Standard deviation of the logarithm of the gain that the reported drive shows,
-            and of that of the damping; infinite to ignore the reported drive.
     """
-    stall, speed = servo.max_torque_Nm, servo.no_load_speed_rad_s
+    stall, speed, stall_sd = servo.max_torque_Nm, servo.no_load_speed_rad_s, 0.35
     if traces[0].load is PER_INERTIA:
-        stall, stall_sd = speed / MOTOR_TIME_S, unknown_stall_sd
+        stall, stall_sd = speed / MOTOR_TIME_S, 1.5
     inertia = traces[0].load.inertia_kgm2
     rotor_inertia = MOTOR_TIME_S * (stall / speed)
     largest = inertia if traces[0].varying is None else inertia + rotor_inertia
-    drive = _common_drive(traces) if np.isfinite(reported_sd) else None
+    drives = [astuple(trace.drive) for trace in traces if trace.drive is not None]
+    drive = ReportedDrive(*np.median(drives, axis=0).tolist()) if drives else None
     latency = (0.0, np.inf) if drive is None else (drive.latency_s, drive.period_s)
     kp, kd, delay = gains(largest)
 
@@ -218,7 +180,7 @@ def motor_prior(
         return Parameter(name, low, high, LOG_UNIT, float(np.log(middle)), sd, log=True)
 
     def share(name: str, sd: float, high: float, unit: float) -> Parameter:
-        return Parameter(name, 0.0, high, unit, 0.0, loss_width * sd)
+        return Parameter(name, 0.0, high, unit, 0.0, sd)
 
     return MotorPrior(
         (
@@ -226,7 +188,7 @@ def motor_prior(
             replace(kd, low=1e-3 * inertia),
             replace(delay, nominal=latency[0], prior_sd=latency[1]),
             log(LINE[0], stall, stall_sd),
-            log(LINE[1], speed, speed_sd),
+            log(LINE[1], speed, 0.25),
             share("motor.resistance_rise", 1.5, 8.0, 1.0),
             log(ROTOR, rotor_inertia, MOTOR_TIME_SD, 8.0),
             share("motor.coulomb_Nm", 0.03 * stall, 0.5 * stall, 0.03 * stall),
@@ -241,7 +203,7 @@ def motor_prior(
             # the error of a period accumulates over thousands of samples
             *(Parameter(name, 0.0, 0.05, 2e-7) for name in LOOP),
         ),
-        Ties(drive, reported_sd),
+        Ties(drive),
     )
 
 
@@ -253,9 +215,3 @@ def nominal_rotor(servo: Servo) -> float:
 def largest_rotor(servo: Servo) -> float:
     """Upper end of the 90 % interval of the prior of that inertia, kg m2."""
     return nominal_rotor(servo) * float(np.exp(Z90 * MOTOR_TIME_SD))
-
-
-def _common_drive(traces: Sequence[Trace]) -> ReportedDrive | None:
-    """Median of the controllers that the recordings show; None if none reports its drive."""
-    drives = [astuple(trace.drive) for trace in traces if trace.drive is not None]
-    return ReportedDrive(*(float(x) for x in np.median(drives, axis=0))) if drives else None

@@ -201,11 +201,12 @@ class ServoProblem:
         _, slopes = self.slopes(x, error if same else None)
         prior, prior_slopes = self.prior_slopes(x)
         weight = 1 / np.sqrt(1 + (error / (OUTLIER_SD * scale)) ** 2) / scale**2 / inflation
-        weighted = slopes * weight[:, :, None]
-        slope = _products(weighted, error[:, :, None]) + _products(prior_slopes, prior[:, :, None])
-        curvature = _products(slopes, weighted) + _products(prior_slopes, prior_slopes)
+        root = np.sqrt(weight)
+        residual = np.concatenate([root * error, prior], axis=1)[:, :, None]
+        rows = np.concatenate([root[:, :, None] * slopes, prior_slopes], axis=1)
+        columns = rows.swapaxes(1, 2)
         loss = 0.5 * self.loss(x, error, scale, inflation)
-        return Expansion(loss, slope[:, :, 0], curvature, {})
+        return Expansion(loss, (columns @ residual)[:, :, 0], columns @ rows, {})
 
     def by_trace(self, values: Array) -> tuple[Array, ...]:
         """Values at the used samples of all traces (n, ...), one array per trace."""
@@ -233,11 +234,6 @@ def _differences(
     with np.errstate(over="ignore", invalid="ignore"):
         slopes = (values - base[:, None]) / step[:, :, None]
     return base, np.where(np.isfinite(slopes), slopes, 0.0).swapaxes(1, 2)
-
-
-def _products(first: Array, second: Array) -> Array:
-    """Inner products of columns, (M, n, F) and (M, n, G) to (M, F, G)."""
-    return np.asarray(first.swapaxes(1, 2) @ second)
 
 
 @dataclass(frozen=True)

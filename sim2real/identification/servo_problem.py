@@ -357,3 +357,13 @@ def residual_angles(batch: Batch, fits: Fits) -> Array:
     out = batch.evaluate(Problems(fits.servos.joint, theta, np.zeros((len(theta), 1))), keep=True)
     assert out.residual is not None
     return out.residual
+
+
+def without_flat_limit(row: Array) -> Array:
+    """A servo's parameters (P,), a flat limit of its effects as the limit of its motor's law."""
+    limit, share = (float(x) for x in row[FLAT_COLUMNS])
+    moved = row.copy()
+    moved[FLAT_COLUMNS] = 0.0
+    damping = max(share, 1e-2) * max(float(row[1]), 1e-9)
+    moved[LINE_COLUMNS] = limit, limit / damping
+    return moved

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from scipy.special import stdtrit
@@ -46,6 +47,16 @@ class Uncertainty:
         size = np.outer(self.sd, self.sd)
         return np.asarray(self.covariance / np.where(size > 0, size, 1.0))
 
+    def by_pair(self, names: Sequence[str]) -> dict[str, float]:
+        """Correlation of each pair of parameters, by their names."""
+        pairs = combinations(range(len(names)), 2)
+        return {f"{names[i]}, {names[j]}": float(self.correlation[i, j]) for i, j in pairs}
+
+    @property
+    def least_loss(self) -> float:
+        """Loss at the bounds of a region, which may be disconnected: hence of three parameters."""
+        return float(chi2.ppf(self.level, 3))
+
     @property
     def undetermined(self) -> set[int]:
         """Indices of the parameters in open directions."""
@@ -72,52 +83,42 @@ def uncertainty(
     wide = np.where(np.isfinite(prior_sd), np.maximum(2 * prior_sd, 1.0), problem.natural)
     tempering = best.scale_rad**2 * best.inflation
     prior_precision = tempering * best.prior * np.outer(wide, wide)
-    curvature = np.zeros((F, F))
-    plain = np.zeros_like(curvature)
-    spread = np.zeros_like(curvature)
-    squares, effective, spans = 0.0, 0.0, []
-    size = OUTLIER_SD * best.scale_rad
-    for error, slopes in zip(best.residuals, problem.by_trace(best.slopes), strict=True):
-        slope = slopes * wide
-        z2 = (error / size) ** 2
-        score = (error / np.sqrt(1 + z2))[:, None] * slope
-        curvature += (slope / (1 + z2[:, None]) ** 1.5).T @ slope
-        plain += slope.T @ slope
+    slopes, z2 = best.slopes * wide, (best.error / (OUTLIER_SD * best.scale_rad)) ** 2
+    score = (best.error / np.sqrt(1 + z2))[:, None] * slopes
+    curvature = (slopes / (1 + z2[:, None]) ** 1.5).T @ slopes + prior_precision
+    noise, spread = float(np.mean(best.error**2 / (1 + z2))), tempering * prior_precision
+    independent = noise * slopes.T @ slopes + spread
+    effective, spans = 0.0, []
+    for error, part_of_score in zip(best.residuals, problem.by_trace(score), strict=True):
         time = correlation_samples(error)
-        span = bandwidth(error.size, time)
-        spread += long_run(score, span)
-        spans.append(span)
-        squares += float(np.sum(error**2 / (1 + z2)))
+        spans.append(bandwidth(error.size, time))
+        spread = spread + long_run(part_of_score, spans[-1])
         effective += error.size / time
-    curvature += prior_precision
-    spread += tempering * prior_precision
     parts, freedoms = spread[None], np.array([max(effective - F, 1.0)])
     if repeating:
         of_angle, coefficients = repeating_error(best, best.prior * tempering)
         parts = np.concatenate([parts, of_angle * np.outer(wide, wide)])
         freedoms = np.append(freedoms, np.maximum(coefficients, 1.0))
         spread = parts.sum(axis=0)
-    samples = best.error.size
     eigen, directions = np.linalg.eigh(curvature)
     least = 1e-12 * max(eigen[-1], 1e-300)
     eigen = np.maximum(eigen, least)
-    independent = (squares / samples) * plain + tempering * prior_precision
-    along = np.maximum(
-        np.einsum("ik,ij,jk->k", directions, spread, directions),
-        np.einsum("ik,ij,jk->k", directions, independent, directions),
-    )
+    both = np.stack([spread, independent])
+    along = np.einsum("ik,cij,jk->ck", directions, both, directions).max(axis=0)
     # curvature without information is round-off of either sign
     along_sd = np.where(eigen > least, np.sqrt(np.maximum(along, 0.0)) / eigen, np.inf)
     determined = along_sd < 1.0
     inverse = directions[:, determined] / eigen[determined] @ directions[:, determined].T
-    at_least = inverse @ independent @ inverse
-    covariance = _raised_to(inverse @ spread @ inverse, at_least)
+    covariance, at_least = inverse @ both @ inverse
+    raised = _ratio(np.diag(at_least), np.diag(covariance))
+    raised = np.sqrt(np.maximum(raised, 1.0))
+    covariance = covariance * np.outer(raised, raised)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     variances = np.einsum("ij,cjk,ki->ci", inverse, parts, inverse)
     weights = _ratio(variances**2, np.maximum(variances.sum(axis=0), 1e-300) ** 2)
     freedom = _ratio(np.ones(F), (weights / freedoms[:, None]).sum(axis=0))
     student = stdtrit(freedom, 0.5 + level / 2)
-    quantile = student * fixed_b(float(np.mean(spans)), samples, level)
+    quantile = student * fixed_b(float(np.mean(spans)), best.error.size, level)
     return Uncertainty(
         covariance=covariance * np.outer(wide, wide),
         half_width=np.asarray(quantile * sd * wide),
@@ -134,12 +135,6 @@ def _ratio(variance: Array, least: Array) -> Array:
     return np.divide(variance, least, out=np.ones_like(variance), where=least > 0)
 
 
-def _raised_to(covariance: Array, least: Array) -> Array:
-    """Scale a covariance up where its variances fall below those of independent residuals."""
-    factor = np.sqrt(np.maximum(_ratio(np.diag(least), np.diag(covariance)), 1.0))
-    return np.asarray(covariance * np.outer(factor, factor))
-
-
 def intervals(
     best: Fit, spread: Uncertainty, *, largest_symmetric: float = 0.15
 ) -> dict[str, tuple[float, float]]:
@@ -153,9 +148,9 @@ def intervals(
     problem, (low, high) = best.problem, best.problem.box
     plain = problem.ties is None and all("." not in name for name in problem.names)
     most = largest_symmetric * problem.natural
-    equal = best.as_good(_limit(spread)) if plain else np.empty((0, best.x.size))
+    equal = best.as_good(spread.least_loss) if plain else np.empty((0, best.x.size))
     result = {}
-    for k, p in enumerate(problem.parameters):
+    for k, p in enumerate(best.parameters):
         x, half = float(best.x[k]), float(spread.half_width[k])
         ends = max(x - half, low[k]), min(x + half, high[k])
         if plain:
@@ -192,22 +187,8 @@ def beyond_data_sheet(
     factor = servo.max_torque_Nm / float(motor.values[k])
     if abs(np.log(factor)) < implausible_sd * motor.parameters[k].prior_sd:
         return {}
-    return {
-        gain: (min(low, low * factor), max(high, high * factor))
-        for gain, (low, high) in ends.items()
-        if gain in GAINS
-    }
-
-
-def as_good(best: Fit, spread: Uncertainty) -> Array:
-    """Other minima that explain the recordings as well, in SI units, shape (M, F)."""
-    limit = 2.0 if best.problem.ties is not None else _limit(spread)
-    return best.problem.values(best.as_good(limit))
-
-
-def _limit(spread: Uncertainty) -> float:
-    """Loss of the bounds of a region, which may be disconnected: hence of three parameters."""
-    return float(chi2.ppf(spread.level, 3))
+    both = ((gain, ends[gain]) for gain in GAINS if gain in ends)
+    return {gain: (min(low, low * factor), max(up, up * factor)) for gain, (low, up) in both}
 
 
 def _profiled(
@@ -228,8 +209,8 @@ def _profiled(
         point[0, k] = trial
         fixed = problem.rows(point)
         profile = replace(problem, row=fixed[0], parameters=others)
-        refitted, loss, _, _ = search(profile, profile.searched(fixed), (best.scale_rad, 1.0), 16)
-        if (loss[0] - best.loss(best.scale_rad)) / max(spread.inflation, 1.0) > _limit(spread):
+        refitted, loss, _ = search(profile, profile.searched(fixed), (best.scale_rad, 1.0), 16)
+        if (loss[0] - best.loss(best.scale_rad)) / max(spread.inflation, 1.0) > spread.least_loss:
             return False
         row = profile.rows(refitted)[0]
         return True

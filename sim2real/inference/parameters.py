@@ -61,3 +61,17 @@ def kronecker(count: int, dimensions: int, rng: np.random.Generator) -> Array:
         root = (1 + root) ** (1 / (dimensions + 1))
     slopes = root ** -np.arange(1.0, dimensions + 1)
     return np.asarray((rng.random(dimensions) + np.arange(count)[:, None] * slopes) % 1.0)
+
+
+def apart(points: Array, distance: float, most: int | None = None) -> list[int]:
+    """Indices of the points (N, D) that each differ from all chosen before them in a value.
+
+    By more than ``distance``; the first ``most``.
+    """
+    chosen: list[int] = []
+    for k, point in enumerate(points):
+        if len(chosen) == most:
+            break
+        if (np.abs(points[chosen] - point).max(axis=1) > distance).all():
+            chosen.append(k)
+    return chosen

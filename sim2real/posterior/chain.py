@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import math
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from glob import escape
 from pathlib import Path
@@ -35,6 +36,12 @@ BURN_IN_TIMES = 5
 def chain_file(out: Path, joint: str) -> Path | None:
     """File of the chain of a joint, next to the result ``out``; None next to a device or a pipe."""
     return None if is_stream(out) else beside(out, f"{out.stem}.chain.{joint}.npz")
+
+
+def clear_leftovers(file: Path) -> None:
+    """Remove temporary files of a process that was killed while writing ``file``."""
+    for leftover in file.parent.glob(f".{escape(file.name)}.*"):
+        leftover.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True)
@@ -91,7 +98,7 @@ def run_chain(
     from emcee import EnsembleSampler, State  # type: ignore[import-untyped]
 
     W, F = chain.coordinates.shape[1:]
-    sampler = EnsembleSampler(W, F, log_density, moves=moves(F), vectorize=True)
+    sampler = EnsembleSampler(W, F, log_density, moves=_moves(), vectorize=True)
     sampler.log_prob_fn = log_density  # the wrapper of emcee prints a traceback of every interrupt
     start, density = chain.origin["start"], None
     if chain.steps:
@@ -139,117 +146,76 @@ def interruptible(items: Iterable[Any]) -> Iterator[Any]:
 
 def write_chain(chain: Chain, file: Path) -> None:
     """Write a chain whole, without pickle; InputError if the file can't be written."""
-    kind, keys, *numbers = chain.random
-    if kind != "MT19937":
-        raise ValueError(f"random number generator {kind}, expected MT19937")
+    _, keys, *numbers = chain.random
+    arrays = {
+        "format": np.array(FORMAT),
+        "fingerprint": np.array(chain.fingerprint),
+        "coordinates": chain.coordinates,
+        "log_density": chain.log_density,
+        "accepted": chain.accepted,
+        "random_keys": keys,
+        "random_numbers": np.array(numbers, dtype=np.float64),
+        **{f"origin.{name}": value for name, value in chain.origin.items()},
+    }
     stream = io.BytesIO()
-    origin = {f"origin.{name}": value for name, value in chain.origin.items()}
-    np.savez(
-        stream,
-        allow_pickle=False,
-        format=np.array(FORMAT),
-        fingerprint=np.array(chain.fingerprint),
-        coordinates=chain.coordinates,
-        log_density=chain.log_density,
-        accepted=chain.accepted,
-        random_keys=keys,
-        random_numbers=np.array(numbers, dtype=np.float64),
-        **origin,  # type: ignore[arg-type]
-    )
+    np.savez(stream, allow_pickle=False, checksum=np.array(_checksum(arrays)), **arrays)
     write_whole(file, stream.getvalue())
-
-
-def clear_leftovers(file: Path) -> None:
-    """Remove temporary files of a process that was killed while writing ``file``."""
-    for leftover in file.parent.glob(f".{escape(file.name)}.*"):
-        leftover.unlink(missing_ok=True)
 
 
 def read_chain(file: Path) -> Chain:
     """Read a chain; InputError if the file is not one, or is damaged."""
     arrays = read_arrays(file, "a chain, or no such file", what="chain")
-    try:
-        if str(arrays["format"]) != FORMAT:
-            raise InputError(file, "format", str(arrays["format"]), FORMAT)
-        position, has_gauss, gauss = arrays["random_numbers"]
-        chain = Chain(
-            coordinates=arrays["coordinates"],
-            log_density=arrays["log_density"],
-            accepted=arrays["accepted"],
-            random=("MT19937", arrays["random_keys"], int(position), int(has_gauss), float(gauss)),
-            origin={
-                name.removeprefix("origin."): value
-                for name, value in arrays.items()
-                if name.startswith("origin.")
-            },
-            fingerprint=str(arrays["fingerprint"]),
-        )
-        _check(chain)
-    except (ValueError, LookupError, TypeError, OverflowError) as error:
-        found = f"no chain ({type(error).__name__}: {error})"
-        raise InputError(file, "", found, "a chain, or no such file") from None
-    return chain
+    checksum = arrays.pop("checksum", None)
+    if str(arrays.get("format")) != FORMAT or str(checksum) != _checksum(arrays):
+        raise InputError(file, "", "no chain, or a damaged one", "a chain, or no such file")
+    position, has_gauss, gauss = arrays["random_numbers"]
+    return Chain(
+        coordinates=arrays["coordinates"],
+        log_density=arrays["log_density"],
+        accepted=arrays["accepted"],
+        random=("MT19937", arrays["random_keys"], int(position), int(has_gauss), float(gauss)),
+        origin={
+            name.removeprefix("origin."): value
+            for name, value in arrays.items()
+            if name.startswith("origin.")
+        },
+        fingerprint=str(arrays["fingerprint"]),
+    )
 
 
-def _check(chain: Chain) -> None:
-    """Raise a ValueError unless a chain's arrays fit together, are finite and can be continued."""
-    W, F = chain.origin["start"].shape
-    N = len(chain.coordinates)
-    log_density = chain.log_density[chain.log_density != -np.inf]  # of walkers outside the prior
-    shapes = [
-        ("coordinates", chain.coordinates.shape, (N, W, F)),
-        ("log_density", chain.log_density.shape, (N, W)),
-        ("accepted", chain.accepted.shape, (W,)),
-    ]
-    sizes = {"centre": (F,), "factor": (F, F), "spread": (F, F), "noise": (2,)}
-    shapes += [(k, v.shape, sizes[k]) for k, v in chain.origin.items() if k in sizes]
-    for name, found, expected in shapes:
-        if found != expected:
-            raise ValueError(f"{name} of shape {found} and not {expected}")
-    for values in (chain.coordinates, log_density, chain.accepted, *chain.origin.values()):
-        if values.dtype.kind not in "fi" or not np.isfinite(values).all():
-            raise ValueError("values that are no finite numbers")
-    np.random.RandomState(0).set_state(chain.random)  # noqa: NPY002 - the generator of emcee
+def _checksum(arrays: Mapping[str, NDArray[Any]]) -> str:
+    """SHA-256 of the names, shapes and values of arrays."""
+    digest = hashlib.sha256()
+    for name, values in sorted(arrays.items()):
+        digest.update(f"{name} {values.dtype} {values.shape}".encode())
+        digest.update(np.ascontiguousarray(values).tobytes())
+    return digest.hexdigest()
 
 
-def moves(
-    free: int, *, shares: tuple[float, float, float] = (0.6, 0.2, 0.2)
+def _moves(
+    *, shares: Sequence[float] = (0.6, 0.2, 0.2), freedom: float = 5.0, scale: float = 1.1
 ) -> list[tuple[Any, float]]:
-    """Moves of ``emcee`` for F standardised coordinates, each with its share of the steps.
+    """Moves of ``emcee`` for standardised coordinates, each with its share of the steps.
 
-    Where the posterior is nearly normal, independent proposals from the Laplace approximation are
-    mostly accepted, and samples are nearly uncorrelated; elsewhere the moves that adapt to the
-    ensemble are more efficient. Sources: Tierney, Annals of Statistics 22 (1994) 1701-1728
-    (independence chains, mixtures of moves); Goodman and Weare, Communications in Applied
-    Mathematics and Computational Science 5 (2010) 65-80; ter Braak, Statistics and Computing 16
-    (2006) 239-249.
+    Where the posterior is nearly normal, independent proposals about the optimum (from a Student
+    distribution with few degrees of ``freedom``, hence heavy tails) are mostly accepted, and
+    samples are nearly uncorrelated; elsewhere the moves that adapt to the ensemble are more
+    efficient. Sources: Tierney, Annals of Statistics 22 (1994) 1701-1728 (independence chains,
+    mixtures of moves); Goodman and Weare, Communications in Applied Mathematics and Computational
+    Science 5 (2010) 65-80; ter Braak, Statistics and Computing 16 (2006) 239-249.
     """
     from emcee.moves import DEMove, MHMove, StretchMove  # type: ignore[import-untyped]
 
-    proposals = (MHMove(independent, ndim=free), StretchMove(), DEMove())
-    return list(zip(proposals, shares, strict=True))
-
-
-def independent(
-    coordinates: Array,
-    random: np.random.RandomState,  # noqa: NPY002 - the generator that emcee uses
-    *,
-    freedom: float = 5.0,
-    scale: float = 1.1,
-) -> tuple[Array, Array]:
-    """New coordinates (W, F) from a Student distribution about the optimum, and their log-ratio.
-
-    The distribution has few degrees of ``freedom``, hence heavy tails.
-    """
-    W, F = coordinates.shape
-    tail = np.sqrt(random.chisquare(freedom, size=(W, 1)) / freedom)
-    new = scale * random.normal(size=(W, F)) / tail
-
     def log_student(w: Array) -> Array:
         square = np.sum((w / scale) ** 2, axis=1)
-        return np.asarray(-0.5 * (freedom + F) * np.log1p(square / freedom))
+        return np.asarray(-0.5 * (freedom + w.shape[1]) * np.log1p(square / freedom))
 
-    return new, log_student(coordinates) - log_student(new)
+    def independent(w: Array, random: Any) -> tuple[Array, Array]:  # noqa: ANN401 - emcee's
+        tail = np.sqrt(random.chisquare(freedom, size=(len(w), 1)) / freedom)
+        new = scale * random.normal(size=w.shape) / tail
+        return new, log_student(w) - log_student(new)
+
+    return list(zip((MHMove(independent), StretchMove(), DEMove()), shares, strict=True))
 
 
 @dataclass(frozen=True)

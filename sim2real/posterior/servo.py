@@ -244,9 +244,6 @@ def _resumed_or_new(best: Fit, seed: int, walkers: int, file: Path | None) -> Ch
         if chain.fingerprint != fingerprint:
             found = "the chain of other recordings, another model, version or seed"
             raise InputError(file, "", found, expected)
-        for name in _ORIGIN:
-            if name not in chain.origin:
-                raise InputError(file, f"origin.{name}", "nothing", expected)
         return chain
     factor, spread = _factors(best)
     noise = np.array([best.scale_rad, best.inflation])

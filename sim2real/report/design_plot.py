@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.design.plan import Design, JointDesign
+from sim2real.design.plan import Design, JointDesign, NextRecording
 from sim2real.design.tell_apart import JointForecast, RivalDesign
 from sim2real.diagnose.rival_sets import task
 from sim2real.report.page import Block, Note, Section, Table, Text
@@ -68,11 +68,6 @@ def design_section(design: Design, *, plots: bool = True) -> Section:
     return Section("Next recording", "", blocks)
 
 
-def design_figure(t: Array, name: str, joint: JointDesign) -> Drawing:
-    """Plot a command (T,), and what it tells over time."""
-    return series_figure(_panels(t, name, joint), f"{name}: designed command")
-
-
 def _panels(t: Array, name: str, joint: JointDesign) -> list[Panel]:
     angle, _ = joint.information.sensitivities(joint.found.command[None])
     motion = {COMMAND: joint.found.command, "expected": angle[0, 0]}
@@ -104,20 +99,26 @@ def rivals_section(design: RivalDesign) -> Section:
         ]
         blocks += [
             Text(text, heading=f"What {name} will tell"),
-            series_block(_rival_panels(joint), name, _RIVALS_CAPTION.format(joint=name)),
+            series_block(_commands(joint), name, _RIVALS_CAPTION.format(joint=name)),
             Table(["to", "distance", "expected"], rows),
         ]
     return Section("Next recording", _RIVALS_LEAD, blocks)
 
 
-def rivals_figure(joint: JointForecast) -> Drawing:
-    """Plot the commands."""
-    return series_figure(_rival_panels(joint), f"{joint.rivals.component}: commands")
+def design_figure(design: NextRecording, name: str | None = None) -> Drawing:
+    """Plot the command of a joint, by default the first, and what it tells over time."""
+    if isinstance(design, RivalDesign):
+        by_name = {one.rivals.component: one for one in design.joints}
+        name = name or next(iter(by_name))
+        return series_figure(_commands(by_name[name]), f"{name}: commands")
+    assert isinstance(design, Design)
+    name = name or next(iter(design.joints))
+    return series_figure(_panels(design.t, name, design.joints[name]), f"{name}: designed command")
 
 
-def _rival_panels(joint: JointForecast) -> list[Panel]:
-    t = np.asarray(joint.rivals.period_s * np.arange(len(joint.command), dtype=np.float64))
-    columns = joint.command.reshape(t.size, -1).T
+def _commands(joint: JointForecast) -> list[Panel]:
+    columns = joint.command.reshape(joint.times.size, -1).T
     names = [COMMAND] if len(columns) == 1 else [f"{COMMAND} {k + 1}" for k in range(len(columns))]
     commands = dict(zip(names, columns, strict=True))
-    return [Panel(SignalGroup((joint.rivals.component,), "rad", t, commands), "command, rad")]
+    group = SignalGroup((joint.rivals.component,), "rad", joint.times, commands)
+    return [Panel(group, "command, rad")]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import warp as wp
 
 from sim2real.effects import CATALOGUE
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import F, Row
 from sim2real.servo.motor import read_motor
 from sim2real.servo.parameters import FIRST_CELL, FIRST_COLUMN, TRAIN_ROTORS
 

@@ -24,7 +24,7 @@ elastic, and without any friction the output rebounds between them.
 import warp as wp
 
 from sim2real.effects import CATALOGUE
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import F, Row
 from sim2real.servo.effect_chain import (
     MOTOR_TORQUE_BITS,
     command_in_force,

@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from sim2real.effects import SIGNATURE
-from sim2real.effects.warp_types import F, Row, Table
+from sim2real.effects.effect import F, Row, Table
 from sim2real.servo.effect_chain import FOLLOWING_BITS, arrival_time, measured_angle, shaft_inertia
 from sim2real.servo.gear_train import TRAIN_BITS, Train, sensed, train_at_rest, train_of
 from sim2real.servo.law import exact_motion, resting_angle, substep_of

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import F, Row
 from sim2real.servo.effect_chain import (
     command_in_force,
     error_seen,

@@ -7,18 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
 from sim2real.arrays import Array
-from sim2real.servo.parameters import INERTIA_LEFT_OUT, ROTOR_INERTIA
+from sim2real.servo.parameters import COLUMNS, INERTIA_LEFT_OUT, ROTOR_INERTIA
+from sim2real.servo.rollout import longest_substep, rollout_on
 from sim2real.servo.trace import Trace
 
-_SETTLED, _LONGEST = 0.003, 80
-"""Share of a response at which it is truncated, and its largest number of samples."""
-_LEAST_RATE, _APART = 0.1, 0.03
+_APART = 0.03
 WINDOW_S, ORDER = 0.18, 3
 """Length and order of the smoothing local polynomials."""
 
@@ -85,56 +83,19 @@ class Modes:
     slow: complex
     gain: float
 
-    def impulse(self, x: Array) -> Array:
-        """Response to an impulse ``x`` s ago, 0 before it."""
-        _, a, b = self._decays(x)
-        return np.asarray(self.gain * ((a - b) / (self.fast - self.slow)).real)
 
-    def twice(self, x: Array) -> tuple[Array, Array]:
-        """Inverse Laplace transform of 1 / ((s - fast) (s - slow))2 at ``x``, and its derivative.
+def gain_derivatives(residual: Residual, *, latency_s: float = 1e-4, share: float = 1e-3) -> Array:
+    """Derivatives (T, 3) of the angle in rad by the latency in s and the logarithms of kd, kp.
 
-        By partial fractions with two double poles.
-        """
-        p, r = self.fast, self.slow
-        y, a, b = self._decays(x)
-        value = y * (a + b) - 2 * (a - b) / (p - r)
-        slope = (a + b) + y * (p * a + r * b) - 2 * (p * a - r * b) / (p - r)
-        size = (p - r) ** 2
-        return np.asarray((value / size).real), np.asarray((slope / size).real * (x > 0))
-
-    def _decays(self, x: Array) -> tuple[Array, Any, Any]:
-        """Positive part of ``x``, and the fast and the slow exponential at that time."""
-        y = np.maximum(x, 0.0)
-        if self.fast.imag == 0:
-            return y, np.exp(self.fast.real * y), np.exp(self.slow.real * y)
-        a = np.exp(self.fast * y)
-        return y, a, a.conj()
-
-
-def gain_derivatives(residual: Residual) -> Array:
-    """Derivatives (T, 3) of the angle in rad by the latency in s and the logarithms of kd, kp."""
-    modes, t, T = servo_modes(residual), residual.trace.t, residual.trace.t.size
-    period = residual.trace.period_s
-    change = np.diff(residual.trace.command, prepend=residual.trace.command[0])
-    arrival = t + residual.arrival_s
-    offset = (np.searchsorted(t, arrival) - np.arange(T))[arrival <= t[-1]]
-    first = int(offset.min()) if offset.size else 0
-    rate = max(min(-modes.slow.real, -modes.fast.real), _LEAST_RATE)
-    lasting = -np.log(_SETTLED) / rate + period
-    width = int(np.clip(np.ceil(lasting / period), 2, _LONGEST))
-    sample = np.arange(T)[:, None] + first + np.arange(width)
-    since = np.where(sample < T, t[np.minimum(sample, T - 1)] - arrival[:, None], -1.0)
-    inertia, kp, kd = residual.trace.load.inertia_kgm2, residual.kp, residual.kd
-    double_pole, slope = (x * change[:, None] / inertia**2 for x in modes.twice(since))
-    late = modes.impulse(since) * change[:, None]
-    ahead = max(-first, 0)  # set-points may act before they are stamped
-    out = np.zeros((3, ahead + T + max(first, 0) + width))
-    for row, table in zip(
-        out, (-late, -kp * kd * double_pole, kp * (inertia * slope + kd * double_pole)), strict=True
-    ):
-        for m in range(width):
-            row[ahead + first + m : ahead + first + m + T] += table[:, m]
-    return out[:, ahead : ahead + T].T
+    Central differences of simulations, by ``latency_s`` and by a ``share`` of the gains.
+    """
+    servo = np.array([residual.kp, residual.kd, residual.latency_s])
+    sides = np.concatenate([side * np.eye(3)[[2, 1, 0]] for side in (-1, 1)])
+    rows = np.zeros((6, len(COLUMNS)))
+    rows[:, :3] = servo + sides * (share * servo[0], share * servo[1], latency_s)
+    longest = longest_substep(rows, np.full(6, residual.trace.load.inertia_kgm2)).min()
+    low, high = np.split(rollout_on(residual.trace, rows, substep_s=float(longest)), 2)
+    return np.asarray(((high - low) / (2 * np.array([[latency_s], [share], [share]]))).T)
 
 
 def servo_modes(residual: Residual) -> Modes:

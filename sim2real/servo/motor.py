@@ -32,8 +32,8 @@ Symbols and units as in ``law``; ``p`` is the joint's row of parameters, ``m`` i
 import warp as wp
 
 from sim2real.effects import MOST_EFFECTS
+from sim2real.effects.effect import F, Row
 from sim2real.effects.elementary import decay, sine
-from sim2real.effects.warp_types import F, Row
 from sim2real.servo.parameters import FIRST_MOTOR_COLUMN, HELD_CELL, MOTOR
 
 MOTOR_BIT = -(1 << MOST_EFFECTS)

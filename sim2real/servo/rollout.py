@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sim2real.arrays import Array, Index, Integers
 from sim2real.effects import CATALOGUE
-from sim2real.recording import VaryingLoad
+from sim2real.recording import Load, VaryingLoad
 from sim2real.servo.kernel import KERNELS, solve_servos
 from sim2real.servo.motor import MOTOR_BIT
 from sim2real.servo.parameters import (
@@ -64,18 +64,15 @@ def rollout(
     Returns:
         Measured angles in rad at ``t``, shape (B, T).
     """
-    rows = np.ascontiguousarray(theta, dtype=np.float64)
-    active = active_effects(rows)
-    longest = np.full(len(rows), substep_s)
-    if substep_s is None:
-        steps = np.where(active != 0, 2 * steps_per_radian, steps_per_radian)
+    rows = np.asarray(theta, dtype=np.float64)
+    longest = substep_s
+    if longest is None:
+        steps = np.where(active_effects(rows) != 0, 2 * steps_per_radian, steps_per_radian)
         longest = longest_substep(rows, rows[:, BASE.index("inertia_kgm2")], steps)
-    arrays = (t[None], command[None], np.array([t.size], dtype=np.int32))
-    signals = [to_warp(x, "cpu") for x in (*arrays, *padded_loads([varying], t[:1]))]
-    out = to_warp(np.empty((len(rows), t.size)), "cpu")
-    signal = np.zeros(len(rows), dtype=np.int32)
-    simulate(active, rows[:, 2], to_warp(rows, "cpu"), signal, signals, longest, out)
-    return np.asarray(out.numpy())
+    nothing = np.full(t.size, np.nan)
+    used = np.zeros(t.size, dtype=bool)
+    trace = Trace("", "", t, command, nothing, Load(0.0), used, varying=varying)
+    return np.asarray(Simulator([trace], add_loads=True).run(rows, longest).numpy())
 
 
 def rollout_on(trace: Trace, theta: Array, *, substep_s: float | None = None) -> Array:
@@ -117,9 +114,11 @@ def padded(traces: Sequence[Trace]) -> tuple[Signals, Array, Array]:
     """Recordings as arrays, padded to the length T of the longest.
 
     Returns:
-        Times in s and set-points in rad, 0 beyond the end, shape (S, T), numbers of samples (S,),
-        and loads that vary (``padded_loads``); measured angles in rad, NaN where not used, (S, T);
-        inertia in kg m2 and gravity torque in N m of the loads, shape (S, 2).
+        Times in s and set-points in rad, 0 beyond the end, shape (S, T), numbers of samples (S,);
+        of loads that vary, time from the first value to the first sample in s, time between values
+        in s, 0 for a constant load, and number of values, shape (S, 3), and inertia in kg m2 beyond
+        the mean and torque in N m, shape (S, K, 2); measured angles in rad, NaN where not used, (S,
+        T); inertia in kg m2 and gravity torque in N m of the loads, shape (S, 2).
     """
     length = np.array([trace.t.size for trace in traces], dtype=np.int32)
     t, command, position = (np.full((len(traces), length.max()), x) for x in (0.0, 0.0, np.nan))
@@ -127,27 +126,14 @@ def padded(traces: Sequence[Trace]) -> tuple[Signals, Array, Array]:
         part = np.s_[s, : trace.t.size]
         t[part], command[part], position[part] = trace.t, trace.command, trace.measured
     load = np.array([[x.load.inertia_kgm2, x.load.gravity_Nm] for x in traces])
-    loads = padded_loads([trace.varying for trace in traces], t[:, 0])
-    return (t, command, length, *loads), position, load
-
-
-def padded_loads(loads: Sequence[VaryingLoad | None], start: Array) -> tuple[Array, Array]:
-    """Loads of S signals, whose first samples are at ``start`` (S,) in s, padded to the longest.
-
-    Returns:
-        Time from the first value to the first sample in s, time between values in s, 0 for a
-        constant load, and number of values, shape (S, 3); inertia in kg m2 beyond the mean and
-        torque in N m, shape (S, K, 2).
-    """
-    grid = np.zeros((len(loads), 3))
-    values = np.zeros((len(loads), max((x.torque_Nm.size for x in loads if x), default=1), 2))
-    for s, load in enumerate(loads):
-        if load is not None:
-            grid[s] = start[s] - load.start_s, load.step_s, load.torque_Nm.size
-            part = values[s, : load.torque_Nm.size]
-            part[:, 0] = load.inertia_kgm2 - load.mean_inertia_kgm2
-            part[:, 1] = load.torque_Nm
-    return grid, values
+    grid, varying = np.zeros((len(traces), 3)), [x.varying for x in traces]
+    values = np.zeros((len(traces), max((x.torque_Nm.size for x in varying if x), default=1), 2))
+    for s, change in enumerate(varying):
+        if change is not None:
+            grid[s] = t[s, 0] - change.start_s, change.step_s, change.torque_Nm.size
+            beyond = change.inertia_kgm2 - change.mean_inertia_kgm2
+            values[s, : beyond.size] = np.stack([beyond, change.torque_Nm], axis=1)
+    return (t, command, length, grid, values), position, load
 
 
 def trace_contexts(traces: Sequence[Trace]) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sim2real.effects.warp_types import Row, Table
+from sim2real.effects.effect import Row, Table
 
 Rows = wp.array(dtype=wp.int32)
 

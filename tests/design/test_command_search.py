@@ -16,7 +16,7 @@ _LINK = Link("link")
 ROBOT = Robot("b", (_LINK, _LINK), (Joint("j1", Servo("s", 1.67, 5.24, 0.00153), (-0.8, 0.8)),))
 LIMITS = limits_of(ROBOT)
 LIGHT = Load(0.002)
-SMALL = {"drawn": 24, "rounds": 2, "batch": 12}
+SMALL = {"drawn": 32, "rounds": 10}
 
 
 def test_a_design_is_expected_to_tell_twice_as_much_as_any_usual_signal():
@@ -38,7 +38,7 @@ def test_any_objective_can_be_searched():
         return np.abs(np.diff(commands, 2, axis=1)).sum(axis=1)
 
     found = best(reversals, LIMITS, 6.0, rng=np.random.default_rng(2), **SMALL)
-    assert found.score > reversals(draw(np.random.default_rng(2), 24, LIMITS, 6.0)).max()
+    assert found.score > reversals(draw(np.random.default_rng(2), 32, LIMITS, 6.0)).max()
     assert violations(found.command[None], LIMITS) == [[]]
 
 

@@ -10,7 +10,7 @@ import pytest
 from sim2real.design.information import AngleError, Information, ServoPrior, prior_of
 from sim2real.design.limits import limits_of
 from sim2real.design.search import draw
-from sim2real.identification.plain_fit import refitted
+from sim2real.identification.joint_fit import refitted
 from sim2real.identification.problem import plain_row
 from sim2real.model import JointModel, Model
 from sim2real.recording import Load
@@ -77,15 +77,6 @@ def test_lost_set_points_cost_commands_that_change_all_the_time_most(commands):
 
     steps = LIMITS.within(0.5 * (np.arange(300)[None] // 75 % 2))[0]
     assert ratio(commands[0]) > 1.2 * ratio(steps) > 1.2
-
-
-def test_sums_over_parts_are_those_of_the_whole(commands):
-    information = Information(prior_of(ROBOT, None, LIMITS, load=LOAD, draws=2), LIMITS)
-    parts = information.statistics(commands, 5)
-    assert parts.shape[:2] == (4, 5)
-    np.testing.assert_allclose(
-        information.scores(parts.sum(axis=1)), information(commands), atol=0.02
-    )
 
 
 def test_torque_beyond_the_budget_is_penalised():

@@ -12,7 +12,7 @@ from violations import violations
 
 from sim2real.design.contexts import AS_IT_IS, Context
 from sim2real.design.limits import limits_of
-from sim2real.design.rivals import RivalObjective
+from sim2real.design.rivals import JointObjective
 from sim2real.design.tell_apart import Request, design_for_rivals, forecast
 from sim2real.recording import PER_INERTIA, read_recording, write_recording
 
@@ -44,7 +44,7 @@ def test_it_keeps_the_limits_and_can_be_played(plain, tmp_path):
 
 def test_what_is_stated_is_the_forecast_of_its_commands(plain):
     (joint,) = plain.joints
-    again = forecast(RivalObjective(RIVALS), joint.command)
+    again = forecast(JointObjective(RIVALS), joint.command)
     assert again.pairs == joint.pairs
     assert 0.5 <= joint.pairs[0].expected <= 1.0
     assert plain.informative
@@ -57,9 +57,9 @@ def test_a_context_is_asked_for_where_it_tells_more():
     soft = Context("a quarter of the gain", gain=0.25)
     same = Context("the same once more", supply=1.0)
     found = designed(loud, [soft])
-    assert found.context == soft
+    assert found.setting == "context: a quarter of the gain"
     assert found.joints[0].remaining < designed(loud).joints[0].remaining
-    assert designed(loud, [same]).context == AS_IT_IS
+    assert designed(loud, [same]).setting == f"context: {AS_IT_IS.name}"
 
 
 def test_where_nothing_can_be_told_it_says_so():

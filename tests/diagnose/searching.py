@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from simulated import NOISE, traced
 
-from sim2real.diagnose.baseline import baselines
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.effect_search import first_look, search
-from sim2real.diagnose.servo_search import ServoSearch, plain_sets
+from sim2real.diagnose.servo_search import ServoSearch, baselines, plain_sets
 from sim2real.identification.servo_problem import Fits, Tried
 from sim2real.servo.batch import Batch
 from sim2real.servo.trace import Trace

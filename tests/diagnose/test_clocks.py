@@ -3,9 +3,8 @@
 import numpy as np
 from simulated import traced
 
-from sim2real.diagnose.baseline import baselines
 from sim2real.diagnose.case import JointCase, on_one_clock
-from sim2real.diagnose.servo_search import plain_sets
+from sim2real.diagnose.servo_search import baselines, plain_sets
 from sim2real.servo.batch import Batch
 
 QUIET = 1e-5

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simulated import KD, KP, LATENCY, NOISE, traced
 
-from sim2real.diagnose.baseline import baselines
+from sim2real.diagnose.servo_search import baselines
 from sim2real.identification.held_out import FOLDS, folds, held_out
 from sim2real.servo.batch import Batch
 

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from simulated import LATENCY, column, recording, robot, row, traced
 
-from sim2real.diagnose.baseline import baselines
 from sim2real.diagnose.case import coarse_step
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.diagnose import diagnose
 from sim2real.diagnose.joint_result import distinctness, exchangeable_ends, law_error, partner
 from sim2real.diagnose.result import Estimate
-from sim2real.diagnose.servo_search import ServoSearch, plain_sets
+from sim2real.diagnose.servo_search import ServoSearch, baselines, plain_sets
 from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import COLUMNS
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from simulated import NOISE, traced
 
-from sim2real.diagnose.baseline import baselines
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.screening import Screen, candidate, screen
+from sim2real.diagnose.servo_search import baselines
 from sim2real.diagnose.wording import detection_limits
 from sim2real.effects import named
 from sim2real.servo.batch import Batch

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from simulated import traced
 
-from sim2real.diagnose.baseline import baselines
 from sim2real.diagnose.screening import Screen, candidate, screen
+from sim2real.diagnose.servo_search import baselines
 from sim2real.effects import named
 from sim2real.servo.batch import Batch
 

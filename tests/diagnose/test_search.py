@@ -10,13 +10,12 @@ from simulated import INERTIA, KD, KP, LATENCY, NOISE, PERIOD, column, recording
 from strange import position_damping, strange
 
 from sim2real.diagnose import servo_search
-from sim2real.diagnose.baseline import baselines
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.effect_search import search_again
 from sim2real.diagnose.investigate import investigate
 from sim2real.diagnose.screening import FITTED, candidate
-from sim2real.diagnose.servo_search import plain_sets
+from sim2real.diagnose.servo_search import baselines, plain_sets
 from sim2real.effects import named
 from sim2real.identification.servo_problem import residual_angles
 from sim2real.inference.selection import Breadth

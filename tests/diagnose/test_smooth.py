@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lsim
 from simulated import INERTIA, KD, KP, LATENCY, NOISE, PERIOD, row, steps
 
-from sim2real.diagnose.smooth_function import JointMotion, ServoMotion, smooth_function
+from sim2real.diagnose.unmodelled import JointMotion, ServoMotion, smooth_function
 from sim2real.recording import Load
 from sim2real.servo.rollout import rollout, rollout_on
 from sim2real.servo.trace import Trace

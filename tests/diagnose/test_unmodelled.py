@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lsim
 from simulated import INERTIA, KD, KP, NOISE, PERIOD, row, traced
 
-from sim2real.diagnose.baseline import baselines
+from sim2real.diagnose.servo_search import baselines
 from sim2real.diagnose.unmodelled import excess, unmodelled
 from sim2real.inference.correlated_noise import RESIDUAL_WANDER
 from sim2real.servo.batch import Batch, Problems

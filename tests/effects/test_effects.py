@@ -445,24 +445,21 @@ def test_a_new_effect_is_one_file(tmp_path):
     """
     spring = changed(
         "servo/quadratic_drag.py",
-        ("quadratic_drag", "hard_spring"),
         ("coefficient_Nms2", "stiffness_Nm_per_rad"),
         ("x - p[c] * v * wp.abs(v)", "x - p[c] * q * q * q"),
         ('plain="', 'plain="a spring that hardens, not '),
         ("high=0.5, typical=0.01", "high=20.0, typical=0.5"),
     )
-    resist = 'robot.resist[:, 0] += p["coefficient"] * robot.lengths_m / robot.lengths_m.sum()'
     weed = changed(
         "body/linear_drag.py",
-        ("linear_drag", "weed"),
-        (resist, 'robot.resist[-1, 0] += p["coefficient"]'),
+        ("robot.lengths_m / robot.lengths_m.sum()", "np.eye(robot.lengths_m.size)[-1]"),
         ("an error of the linear drag", "weed on the tail"),
     )
     program = """
 from dataclasses import replace
 import numpy as np
 import simulated
-from sim.inference.swim_parameters import candidates
+from sim.inference.coordinates import candidates
 from sim.twin.twin import Twin
 from sim2real.body import listed
 from sim2real.diagnose.diagnose import diagnose
@@ -492,6 +489,6 @@ assert plain("weed") == "weed on the tail"
 
 def test_more_effects_than_the_mask_has_bits_are_refused(tmp_path):
     names = [f"one_more_{k}" for k in range(40)]
-    more = {f"servo/{n}.py": changed("servo/sensor_offset.py", ("sensor_offset", n)) for n in names}
+    more = {f"servo/{n}.py": changed("servo/sensor_offset.py") for n in names}
     done = run_in_a_copy(tmp_path, more, "import sim2real.effects")
     assert done.returncode and "InputError" in done.stderr and "at most 62" in done.stderr

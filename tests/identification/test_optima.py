@@ -2,9 +2,13 @@
 
 import numpy as np
 import pytest
+import simulated
 
 from sim2real.identification import advice
 from sim2real.identification.identify import identify
+from sim2real.identification.problem import Fit, ServoProblem, plain_row
+from sim2real.identification.uncertainty import Uncertainty
+from sim2real.inference.parameters import Parameter
 from sim2real.recording import read_recording
 from sim2real.robot import read_robot
 from sim2real.servo.prediction import predict
@@ -12,13 +16,24 @@ from sim2real.servo.prediction import predict
 NAMES = ("kp_Nm_per_rad", "motor.rotor_inertia_kgm2")
 
 
+def fit_with(others):
+    """A fit of kp 2 and a rotor of 0.002, with other minima that explain the data as well."""
+    free = Parameter(NAMES[0], 0.0, 9.0, 1.0), Parameter(NAMES[1], 0.0, 1.0, 1e-3)
+    trace = simulated.traced(1, seconds=1.0)
+    problem = ServoProblem([trace], plain_row(2.0, 0.1, 0.0), free)
+    none = np.zeros(trace.t.size), np.zeros((trace.t.size, 2))
+    x = np.array([[2.0, 0.002], *others]) / problem.unit
+    return Fit(problem, x[0], *none, 1.0, 1.0, True, x[1:], np.zeros(len(others)))
+
+
 def test_an_optimum_outside_the_interval_is_named_with_what_differs():
-    values, half_width = np.array([2.0, 0.002]), np.array([0.1, 0.0001])
-    (note,) = advice.on_optima(NAMES, values, half_width, [np.array([2.05, 0.003])])
+    half_width = np.array([0.1, 0.0001]) / [1.0, 1e-3]
+    spread = Uncertainty(np.eye(2), half_width, (), 1.0, 0.9)
+    (note,) = advice.on_optima(fit_with([[2.05, 0.003]]), spread)
     assert "rotor inertia 0.003 instead of 0.002" in note
     assert "kp" not in note
-    assert advice.on_optima(NAMES, values, half_width, [values + 0.9 * half_width]) == []
-    assert advice.on_optima(NAMES, values, half_width, []) == []
+    assert advice.on_optima(fit_with([[2.09, 0.00209]]), spread) == []
+    assert advice.on_optima(fit_with([]), spread) == []
 
 
 @pytest.mark.parametrize("gain, held_out", [(200, "up_and_down"), (800, "lift_and_drop")])

@@ -7,7 +7,7 @@ import pytest
 
 from rl.deploy.policy import PolicyController
 from rl.experiments.episodes import energy, run_episodes
-from rl.experiments.reality import RealWorld, Starts, read_reality
+from rl.experiments.reality import Starts, read_reality, real_world
 from rl.experiments.testbeds import Controllers, real
 from rl.make import make_world
 from rl.task import TASKS, shortened
@@ -68,7 +68,7 @@ TURN = TASKS["turn"]
 
 
 def run_real_episodes(reality, controller, robot, task, starts):
-    return run_episodes(RealWorld(reality, robot, task, starts), controller)
+    return run_episodes(real_world(reality, robot, task, starts, "reality"), controller)
 
 
 def test_arrival_reward_and_velocity_come_from_what_is_seen(glider, robot):
@@ -210,9 +210,11 @@ def test_what_a_file_makes_is_looked_at(glider, robot, tmp_path):
     path.write_text("def make(robot, n, seed, device):\n    return 1")
     with pytest.raises(InputError, match="without reset"):
         read_reality(path)(robot, 1, 0, "cpu")
-    reality = read_reality(glider())(robot, 2, 0, "cpu")
+    reality = read_reality(glider())(robot, 3, 0, "cpu")
+    placed = reality.reset
+    reality.reset = lambda pose, joint: placed(pose[:2], joint)
     with pytest.raises(InputError, match="shapes"):
-        run_real_episodes(reality, Still(), robot, TURN, ahead(3)._replace(pose=np.zeros((2, 3))))
+        run_real_episodes(reality, Still(), robot, TURN, ahead(3))
 
 
 def test_options_and_what_a_file_imports_are_known(tmp_path):

@@ -15,8 +15,8 @@ from rl.deploy.export import policy_of, set_price
 from rl.deploy.policy import PolicyController
 from rl.experiments import testbeds
 from rl.experiments.episodes import summary
-from rl.experiments.named import controller_of, shown, with_price
-from rl.experiments.testbeds import run_trials
+from rl.experiments.named import shown, with_price
+from rl.experiments.testbeds import DrawnTrials
 from rl.make import draw_models, noise_of
 from rl.observer import PAPER
 from rl.sac.checkpoint import COLUMNS, draw_curves, read_progress
@@ -284,14 +284,15 @@ def test_agents_are_chosen_by_held_out_trials(robot, model, tmp_path, monkeypatc
     folders = train(tmp_path, robot, arms(model)[:1], PLAN)
     monkeypatch.setitem(testbeds.TASKS, "turn", shortened(TASKS["turn"], 60))
     monkeypatch.setitem(testbeds.TASKS, "mixed", shortened(TASKS["mixed"], 60))
-    found = testbeds.held_out(folders, robot, model, None, energy=1e-3, episodes=3)
+    trials = DrawnTrials(robot, model, episodes=3)
+    found = testbeds.held_out(trials, folders, 1e-3)
     scores = {name: rows["score"] for name, rows in found["agents"].items()}
     assert found["best"] == max(scores, key=scores.__getitem__)
     assert set(scores) == {"a-0", "a-1"}
     assert scores["a-0"] != scores["a-1"]
-    again = testbeds.held_out(folders, robot, model, None, energy=1e-3, episodes=3)
+    again = testbeds.held_out(trials, folders, 1e-3)
     assert again == found
-    dear = testbeds.held_out(folders, robot, model, None, energy=1.0, episodes=3)
+    dear = testbeds.held_out(trials, folders, 1.0)
     assert dear["agents"]["a-0"]["score"] < scores["a-0"]
 
 
@@ -310,18 +311,19 @@ def test_each_agent_swims_at_the_price_that_does_best(robot, model, tmp_path, mo
     monkeypatch.setitem(testbeds.TASKS, "turn", shortened(TASKS["turn"], 60))
     monkeypatch.setattr(testbeds, "controller_of", lambda *_: PolicyController(policies[1.0]))
 
-    chosen = testbeds.choose_prices([folder], robot, model, None, episodes=2)
+    trials = DrawnTrials(robot, model, episodes=2)
+    chosen = testbeds.choose_prices(trials, [folder])
     (price,) = chosen.values()
     assert read_agent(folder / "policy.zip").by_price["share"] == pytest.approx(np.log2(price))
-    swum = run_trials(
-        robot, model, None, TASKS["turn"],
-        {str(one): PolicyController(policy) for one, policy in policies.items()},
-        episodes=2, seed=testbeds.PRICE_SEED,
-    )  # fmt: skip
+    makers = {
+        str(one): lambda _, policy=policy: PolicyController(policy)
+        for one, policy in policies.items()
+    }
+    swum = trials.run(TASKS["turn"], makers, testbeds.PRICE_SEED)
     spent = {one: summary(swum[str(one)], TASKS["turn"])["energy"] for one in prices}
     assert max(spent.values()) > 1.2 * spent[1.0]
     assert spent[price] <= 1.001 * spent[1.0], "nobody arrives, so that energy decides"
-    assert testbeds.choose_prices([folder], robot, model, None, episodes=2) == chosen
+    assert testbeds.choose_prices(trials, [folder]) == chosen
 
 
 def test_a_policy_is_called_with_a_price(tmp_path):
@@ -337,9 +339,9 @@ def test_a_policy_is_called_with_a_price(tmp_path):
 
 def test_trials_are_the_same_for_all(robot, model):
     ranges = Ranges((uniform("command_latency_s", 0.03, 0.09, "s", ""),))
-    limits = [joint.limits_rad for joint in robot.joints]
-    controllers = {name: controller_of("pnl", limits, 4) for name in ("one", "other")}
-    swims = run_trials(robot, model, ranges, shortened(TASKS["turn"], 80), controllers, episodes=4)
+    trials = DrawnTrials(robot, model, ranges, episodes=4)
+    makers = {name: trials.maker("pnl") for name in ("one", "other")}
+    swims = trials.run(shortened(TASKS["turn"], 80), makers)
     one, other = swims["one"], swims["other"]
     assert np.allclose(one.pose, other.pose, atol=1e-6)
     assert np.ptp(one.rate[60].sum(axis=1)) > 1e-3, "robots differ from trial to trial"

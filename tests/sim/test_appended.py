@@ -7,7 +7,7 @@ import pytest
 from swimming_robots import FISH, moving, servos
 
 from sim.inference.calibration import calibrate
-from sim.inference.swim_parameters import appendage_parameters, candidates
+from sim.inference.coordinates import appendage_parameters, candidates
 from sim.inference.swims import Swim, by_twin, simulated, with_values
 from sim.lattice.velocities import WATER_KG_M3 as WATER
 from sim.robot.shape import displaced, draught, hull_of, submerged

@@ -8,7 +8,7 @@ import pytest
 from swimming_robots import FISH, servos
 
 from sim.inference.calibration import calibrate
-from sim.inference.swim_parameters import effect_parameters, servo_parameters, twin_parameters
+from sim.inference.coordinates import effect_parameters, servo_parameters, twin_parameters
 from sim.inference.swims import Swim, by_twin, simulated, swim_of, with_values
 from sim.robot.swimmer import CONTROL_S
 from sim2real.cli import main

@@ -9,10 +9,10 @@ from test_diagnose_swims import IN_WATER, swum
 
 import sim.inference.coordinates as places
 from sim.inference import signal_error
-from sim.inference.coordinates import Coordinates, signals_at, signals_of
-from sim.inference.searched import learned, searched
-from sim.inference.swim_parameters import candidates
-from sim.inference.swim_problem import SwimProblem
+from sim.inference.coordinates import Coordinates, candidates, signals_at, signals_of
+from sim.inference.law_error import learned
+from sim.inference.searched import searched
+from sim.inference.swim_problem import COST, SwimProblem
 from sim.inference.swims import by_followed_twin
 from sim2real.model import read_model, write_model
 
@@ -81,7 +81,8 @@ def test_an_error_that_is_usual_is_no_evidence():
     def evidence(share):
         swim = slower(swum({}, seed=3), share)
         found = searched([swim], servos(), FISH, simulate, prior)
-        return found.best.evidence - found.plain.evidence
+        gain = found.best.evidence - found.plain.evidence
+        return gain + COST * len(found.best.members)
 
     assert evidence(own) < 6.0
     assert evidence(12 * own) > 12.0

@@ -11,9 +11,13 @@ from swimming_robots import FISH, servos
 from test_calibrate import swum
 
 from sim.inference.calibration import FluidSettings, calibrate_in_fluid
-from sim.inference.coordinates import signals_of
+from sim.inference.coordinates import (
+    effect_parameters,
+    servo_parameters,
+    signals_of,
+    water_parameters,
+)
 from sim.inference.emulator import emulator
-from sim.inference.swim_parameters import effect_parameters, servo_parameters, water_parameters
 from sim.inference.swims import by_twin, simulated, swim_of, with_values
 from sim.robot.swimmer import Swimmer, least_viscosity
 from sim2real.errors import InputError

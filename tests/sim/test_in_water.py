@@ -19,8 +19,8 @@ from sim.inference.in_water import (
     with_nearest_law,
     write_water,
 )
-from sim.inference.law_error import IN_WATER, read_law_error
-from sim.inference.searched import changed, doubtful, learned
+from sim.inference.law_error import IN_WATER, learned, read_law_error
+from sim.inference.searched import changed, doubtful
 from sim.inference.swim_problem import SwimProblem
 from sim.inference.swims import by_followed_twin, by_twin, steps_of, with_values
 from sim.robot.swimmer import CONTROL_S

@@ -7,18 +7,12 @@ Confused with: form drag, skin friction. It is fitted by a calibration, with the
 of the coefficients as prior, and not offered by a diagnosis.
 """
 
-from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
-
-
-def _act(robot: Forces, p: Values, _material: str) -> None:
-    robot.areas += p["ratio"]
-
+from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="appendage_area",
     plain="an error of the drag areas of the appendages",
     title="change of the drag areas of the appendages, relative to the robot file",
     parameters=(Parameter("ratio", low=-0.95, high=5.0, typical=0.1),),
-    act=_act,
+    adds=lambda _robot, p, _material: {"areas": p["ratio"]},
     order=6,
 )

@@ -7,22 +7,15 @@ the front of the straight robot.
 Confused with: form drag, which acts along the head only; skin friction.
 """
 
-from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
-
-
-def _act(robot: Forces, p: Values, _material: str) -> None:
-    robot.lacking += p["area_m2"]
-    robot.lacking_at = p["x_m"]
-
+from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="appendage_drag",
     plain="drag of a part that the robot file leaves out",
     title="drag area that the robot file leaves out, and its distance behind the robot's front",
     parameters=(
         Parameter("area_m2", low=0.0, high=0.1, typical=0.002),
         Parameter("x_m", low=0.0, high=3.0, typical=0.1),
     ),
-    act=_act,
+    adds=lambda _robot, p, _material: {"lacking": p["area_m2"], "lacking_at": p["x_m"]},
     order=6,
 )

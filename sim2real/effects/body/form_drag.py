@@ -5,18 +5,14 @@
 Confused with: skin friction, which grows with speed in the same way.
 """
 
-from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
-
-
-def _act(robot: Forces, p: Values, _material: str) -> None:
-    robot.resist[0, 1] += 0.5 * robot.water_kg_m3 * robot.frontal_m2 * p["coefficient"]
-
+from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="form_drag",
     plain="an error of the form drag",
     title="change of the form drag, which is proportional to the squared speed",
     parameters=(Parameter("coefficient", low=-1.0, high=3.0, typical=0.1),),
-    act=_act,
+    adds=lambda robot, p, _material: {
+        "resist": robot.on_head(0.5 * robot.water_kg_m3 * robot.frontal_m2 * p["coefficient"])
+    },
     order=6,
 )

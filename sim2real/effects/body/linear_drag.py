@@ -5,18 +5,16 @@
 Confused with: form drag, skin friction; slow and fast swims distinguish them.
 """
 
-from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
+import numpy as np
 
-
-def _act(robot: Forces, p: Values, _material: str) -> None:
-    robot.resist[:, 0] += p["coefficient"] * robot.lengths_m / robot.lengths_m.sum()
-
+from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="linear_drag",
     plain="an error of the linear drag",
     title="change of the drag that is proportional to the speed of the body",
     parameters=(Parameter("coefficient", low=-5.0, high=20.0, typical=0.3, unit="N s/m"),),
-    act=_act,
+    adds=lambda robot, p, _material: {
+        "resist": np.outer(robot.lengths_m / robot.lengths_m.sum(), (p["coefficient"], 0, 0, 0))
+    },
     order=4,
 )

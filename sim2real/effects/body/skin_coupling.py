@@ -5,18 +5,12 @@
 Confused with: an elastic skin; moving one joint alone distinguishes them.
 """
 
-from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
-
-
-def _act(robot: Forces, p: Values, _material: str) -> None:
-    robot.coupling += p["stiffness_Nm_per_rad"]
-
+from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="skin_coupling",
     plain="a skin that couples neighbouring joints",
     title="the skin acts as a spring between neighbouring joints",
     parameters=(Parameter("stiffness_Nm_per_rad", low=0.0, high=5.0, typical=0.2),),
-    act=_act,
+    adds=lambda _robot, p, _material: {"coupling": p["stiffness_Nm_per_rad"]},
     order=3,
 )

@@ -5,18 +5,12 @@
 Confused with: a smaller servo gain; swims with the torque off distinguish them.
 """
 
-from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
-
-
-def _act(robot: Forces, p: Values, _material: str) -> None:
-    robot.skin[:, 0] += p["stiffness_Nm_per_rad"]
-
+from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="skin_elasticity",
     plain="an elastic skin",
     title="the skin over the joints acts as a spring towards the straight pose",
     parameters=(Parameter("stiffness_Nm_per_rad", low=0.0, high=10.0, typical=0.3),),
-    act=_act,
+    adds=lambda _robot, p, _material: {"skin": (p["stiffness_Nm_per_rad"], 0, 0, 0)},
     order=0,
 )

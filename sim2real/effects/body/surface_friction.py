@@ -5,19 +5,13 @@
 Confused with: form drag, which grows with speed in the same way.
 """
 
-from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
-
-
-def _act(robot: Forces, p: Values, material: str) -> None:
-    robot.rough += p["coefficient"] * robot.made_of(material)
-
+from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="surface_friction",
     plain="an error of the skin friction",
     title="change of the skin friction coefficient of the surface",
     parameters=(Parameter("coefficient", low=-0.1, high=0.3, typical=0.01),),
-    act=_act,
+    adds=lambda robot, p, material: {"rough": p["coefficient"] * robot.made_of(material)},
     by_material=True,
     order=5,
 )

@@ -5,15 +5,9 @@
 Confused with: a current; the end point of the swim distinguishes them.
 """
 
-from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
-
-
-def _act(robot: Forces, p: Values, _material: str) -> None:
-    robot.tether[:] = p["stiffness_N_per_m"], p["x_m"], p["y_m"]
-
+from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="tether",
     plain="a tether",
     title="a cable pulls the head towards an anchor in the pool",
     parameters=(
@@ -21,6 +15,6 @@ EFFECT = BodyEffect(
         Parameter("x_m", low=-10.0, high=10.0, typical=0.5),
         Parameter("y_m", low=-10.0, high=10.0, typical=0.5),
     ),
-    act=_act,
+    adds=lambda _robot, p, _material: {"tether": (p["stiffness_N_per_m"], p["x_m"], p["y_m"])},
     order=9,
 )

@@ -5,18 +5,12 @@
 Confused with: a lateral current; swims in both directions distinguish them.
 """
 
-from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
-
-
-def _act(robot: Forces, p: Values, _material: str) -> None:
-    robot.trim += p["offset_rad"]
-
+from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="trim_asymmetry",
     plain="a trim offset of the joints",
     title="offset of all joint zeros by the same angle",
     parameters=(Parameter("offset_rad", low=-0.5, high=0.5, typical=0.03),),
-    act=_act,
+    adds=lambda _robot, p, _material: {"trim": p["offset_rad"]},
     order=12,
 )

@@ -5,18 +5,12 @@ The reactive thrust is larger by ``ratio (length / gap)^2``.
 Confused with: less drag; swims far from the walls distinguish them.
 """
 
-from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
-
-
-def _act(robot: Forces, p: Values, _material: str) -> None:
-    robot.wall += p["ratio"]
-
+from sim2real.effects.body_effect import BodyEffect, Parameter
 
 EFFECT = BodyEffect(
-    name="wall_effect",
     plain="the effect of a nearby wall",
     title="gain of thrust near a wall, as a share at a distance of one body length",
     parameters=(Parameter("ratio", low=0.0, high=2.0, typical=0.1),),
-    act=_act,
+    adds=lambda _robot, p, _material: {"wall": p["ratio"]},
     order=10,
 )

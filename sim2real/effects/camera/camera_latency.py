@@ -14,7 +14,6 @@ def _see(t: Array, pose: Array, p: Values) -> Array:
 
 
 EFFECT = CameraEffect(
-    name="camera_latency",
     plain="latency of the camera",
     title="delay of the camera's poses",
     parameters=(Parameter("latency_s", low=-0.05, high=0.5, typical=0.05),),

@@ -18,7 +18,6 @@ def _see(_t: Array, pose: Array, p: Values) -> Array:
 
 
 EFFECT = CameraEffect(
-    name="camera_rotation",
     plain="a rotated camera",
     title="rotation of the camera's axes relative to the pool's, headings excepted",
     parameters=(Parameter("angle_rad", low=-0.8, high=0.8, typical=0.03),),

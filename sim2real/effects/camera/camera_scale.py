@@ -16,7 +16,6 @@ def _see(_t: Array, pose: Array, p: Values) -> Array:
 
 
 EFFECT = CameraEffect(
-    name="camera_scale",
     plain="a scale error of the camera",
     title="scale error of the camera's positions",
     parameters=(Parameter("ratio", low=-0.3, high=0.3, typical=0.02),),

@@ -18,7 +18,6 @@ def _see(t: Array, pose: Array, p: Values) -> Array:
 
 
 EFFECT = CameraEffect(
-    name="dropped_frames",
     plain="lost camera frames",
     title="frames are lost and the last pose is repeated",
     parameters=(Parameter("probability", low=0.0, high=0.4, typical=0.05),),

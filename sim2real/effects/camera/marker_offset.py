@@ -19,7 +19,6 @@ def _see(_t: Array, pose: Array, p: Values) -> Array:
 
 
 EFFECT = CameraEffect(
-    name="marker_offset",
     plain="an offset of the marker",
     title="offset of the marker from the head's centre of mass, forwards and to the left",
     parameters=(

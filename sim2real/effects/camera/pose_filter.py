@@ -22,7 +22,6 @@ def _see(t: Array, pose: Array, p: Values) -> Array:
 
 
 EFFECT = CameraEffect(
-    name="pose_filter",
     plain="a filter on the camera's poses",
     title="the camera's poses pass a first-order low-pass filter",
     parameters=(Parameter("time_constant_s", low=0.0, high=1.0, typical=0.05),),

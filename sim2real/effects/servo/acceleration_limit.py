@@ -10,8 +10,7 @@ the duration grows with the square root of the step.
 
 import warp as wp
 
-from sim2real.effects.effect import LIMITS, Effect, Parameter
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import LIMITS, Effect, F, Parameter, Row
 
 
 @wp.func
@@ -37,7 +36,6 @@ def brake(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 
 EFFECT = Effect(
-    name="acceleration_limit",
     plain="an acceleration limit of the set-point",
     says="the servo limits the acceleration of its set-point to {limit_rad_s2}",
     site="command",

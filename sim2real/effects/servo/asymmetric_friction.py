@@ -9,8 +9,7 @@ offset or a gravity load.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row
 
 
 @wp.func
@@ -20,12 +19,9 @@ def bound(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 
 EFFECT = Effect(
-    name="asymmetric_friction",
     plain="friction that differs by direction",
-    says=lambda p: (
-        "Coulomb friction averages {torque_Nm} and is {asymmetry} larger than that in the "
-        + ("positive direction" if p["asymmetry"] > 0 else "negative direction")
-    ),
+    says="Coulomb friction averages {torque_Nm} and is {asymmetry} larger than that in the "
+    "{asymmetry:positive|negative} direction",
     site="friction",
     term=bound,
     parameters=(

@@ -26,9 +26,8 @@ amplitudes distinguish them.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.effect import Effect, F, Parameter, Row
 from sim2real.effects.elementary import sine
-from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
@@ -92,7 +91,6 @@ def hold(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: 
 NEGLIGIBLE_NM = 1e-4
 """Friction on the output below which it is not stated."""
 EFFECT = Effect(
-    name="backlash",
     plain="backlash",
     says=lambda p: (
         "the gear train has {gap_rad} of backlash, and friction of {output_friction_Nm} acts on "
@@ -107,7 +105,7 @@ EFFECT = Effect(
         Parameter("rotor_inertia_kgm2", low=4e-5, high=0.02, typical=4e-4, starts=(1.0,)),
         Parameter("output_friction_Nm", low=0.0, high=1.0, typical=0.02, starts=(0.0, 1.0)),
         Parameter("control_on_output", low=0.0, high=1.0, typical=1.0, starts=(0.0, 1.0)),
-        Parameter("restitution", low=0.0, high=0.95, typical=0.5, starts=(0.0, 1.0)),
+        Parameter("restitution", low=0.0, high=0.95, typical=0.5, starts=(0.0,)),
     ),
     memory=4,
     order=1,

@@ -9,8 +9,7 @@ derating, which change a gain and not a delay.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row
 
 
 @wp.func
@@ -20,13 +19,9 @@ def drift(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 
 EFFECT = Effect(
-    name="clock_drift",
     plain="clock drift",
-    says=lambda p: (
-        "the delay between set-point and response "
-        + ("grows" if p["s_per_s"] > 0 else "shrinks")
-        + " by {s_per_s} of the elapsed time, as with clocks that drift apart"
-    ),
+    says="the delay between set-point and response {s_per_s:grows|shrinks} by {s_per_s} of the "
+    "elapsed time, as with clocks that drift apart",
     site="arrival",
     term=drift,
     parameters=(Parameter("s_per_s", low=-0.01, high=0.01, typical=0.001),),

@@ -8,9 +8,8 @@ angle sensor.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.effect import Effect, F, Parameter, Row
 from sim2real.effects.elementary import sine
-from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
@@ -26,7 +25,6 @@ _PERIODS = tuple(5.0 / (0.75 + 0.6 * k) for k in range(33))
 _PHASES = (0.0, 2.0944, -2.0944)
 
 EFFECT = Effect(
-    name="cogging",
     plain="cogging torque",
     says="a torque ripple with an amplitude of {torque_Nm} repeats every {period_rad}",
     site="load",

@@ -9,9 +9,8 @@ servo without friction or limits not which has which time constant.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.effect import Effect, F, Parameter, Row
 from sim2real.effects.elementary import decay
-from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
@@ -27,7 +26,6 @@ def smooth(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
 
 
 EFFECT = Effect(
-    name="command_filter",
     plain="a filter on the set-point",
     says="the servo low-pass filters its set-point with a time constant of {time_constant_s}",
     site="command",

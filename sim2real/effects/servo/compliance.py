@@ -25,9 +25,8 @@ filter; a known additional inertia distinguishes them.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.effect import Effect, F, Parameter, Row
 from sim2real.effects.elementary import decay, sine
-from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
@@ -68,7 +67,6 @@ def twist(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 
 EFFECT = Effect(
-    name="compliance",
     plain="compliance between motor and load",
     says=lambda p: (
         "motor and load are coupled by a spring with a compliance of {compliance_rad_per_Nm}; "

@@ -10,8 +10,7 @@ its amplitude.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row
 
 
 @wp.func
@@ -21,7 +20,6 @@ def bound(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 
 EFFECT = Effect(
-    name="coulomb_friction",
     plain="Coulomb friction",
     says="Coulomb friction of {torque_Nm} acts on the shaft",
     site="friction",

@@ -11,8 +11,7 @@ direction of the load.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row
 
 SWITCHES_FROM = 0.5
 
@@ -27,7 +26,6 @@ def ignore(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
 
 
 EFFECT = Effect(
-    name="deadband",
     plain="a dead band of the controller",
     says=lambda p: (
         "the controller ignores position errors below {halfwidth_rad}"

@@ -7,8 +7,7 @@ Residual: a sawtooth of half a step. Nothing else looks like it.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row
 
 
 @wp.func
@@ -18,7 +17,6 @@ def count(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 
 EFFECT = Effect(
-    name="encoder_quantization",
     plain="coarse quantization of the angle sensor",
     says="the angle sensor has a resolution of {step_rad}, coarser than the data sheet states",
     site="sensor",

@@ -9,9 +9,8 @@ with a sensor gain; another gain or supply voltage distinguishes them.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.effect import Effect, F, Parameter, Row
 from sim2real.effects.elementary import sine
-from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
@@ -21,12 +20,9 @@ def pendulum(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row,
 
 
 EFFECT = Effect(
-    name="gravity_load",
     plain="a weight missing from the stated load",
-    says=lambda p: (
-        "a gravity torque of up to {torque_Nm}, missing from the stated load, pulls the shaft "
-        + ("towards 0°" if p["torque_Nm"] > 0 else "away from 0°")
-    ),
+    says="a gravity torque of up to {torque_Nm}, missing from the stated load, pulls the shaft "
+    "{torque_Nm:towards|away from} 0°",
     site="load",
     term=pendulum,
     parameters=(Parameter("torque_Nm", low=-2.0, high=2.0, typical=0.1),),

@@ -8,8 +8,7 @@ viscoelastic skin or rubber; a long hold under load distinguishes them.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row
 
 
 @wp.func
@@ -21,7 +20,6 @@ def integral(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row,
 
 
 EFFECT = Effect(
-    name="integral_action",
     plain="integral action of the controller",
     says="the controller has integral action with a gain of {ki_Nm_per_rad_s}",
     site="motor",

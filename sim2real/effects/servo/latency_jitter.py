@@ -9,8 +9,7 @@ residual on the squared speed distinguishes them.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row
 
 _SEED = wp.constant(31)
 """A separate random stream, independent of other effects."""
@@ -24,7 +23,6 @@ def scatter(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, 
 
 
 EFFECT = Effect(
-    name="latency_jitter",
     plain="latency jitter",
     says="set-points arrive up to {halfwidth_s} before or after the mean latency",
     site="arrival",

@@ -11,9 +11,8 @@ with: a smaller kp, which absorbs nearly all of it; another load or gain disting
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.effect import Effect, F, Parameter, Row
 from sim2real.effects.elementary import decay
-from sim2real.effects.warp_types import F, Row
 
 FADES_FROM_S_PER_RAD = 0.02
 
@@ -29,7 +28,6 @@ def bound(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 
 EFFECT = Effect(
-    name="load_friction",
     plain="load-dependent friction",
     says=lambda p: (
         "gear friction opposes the motion with {ratio} of the transmitted torque"

@@ -8,8 +8,7 @@ jitter, whose delay is bounded by its width.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row
 
 _SEED = wp.constant(33)
 """A separate random stream, independent of other effects."""
@@ -24,7 +23,6 @@ def lose(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: 
 
 
 EFFECT = Effect(
-    name="packet_loss",
     plain="lost set-points",
     says="{probability} of the set-points are lost",
     site="arrival",

@@ -11,9 +11,8 @@ compliance; small sines distinguish them, by their minor loops.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.effect import Effect, F, Parameter, Row
 from sim2real.effects.elementary import decay
-from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
@@ -30,7 +29,6 @@ def bristle(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, 
 
 
 EFFECT = Effect(
-    name="presliding_friction",
     plain="presliding friction",
     says="Coulomb friction of {torque_Nm} acts as a spring of {stiffness_Nm_per_rad} "
     "before it slips",

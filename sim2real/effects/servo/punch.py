@@ -12,8 +12,7 @@ distinguish them, as the gains differ.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row
 
 
 @wp.func
@@ -26,7 +25,6 @@ def punched(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, 
 
 
 EFFECT = Effect(
-    name="punch",
     plain="a minimum drive added by the firmware",
     says="the firmware adds {torque_Nm} to the drive at position errors beyond {width_rad}",
     site="error",

@@ -9,8 +9,7 @@ absorb three quarters of it; several amplitudes, or air against water, distingui
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row
 
 
 @wp.func
@@ -20,7 +19,6 @@ def drag(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: 
 
 
 EFFECT = Effect(
-    name="quadratic_drag",
     plain="quadratic drag",
     says="a drag torque of {coefficient_Nms2} times the squared speed opposes the motion",
     site="load",

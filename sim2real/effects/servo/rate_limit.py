@@ -9,8 +9,7 @@ the ramp.
 
 import warp as wp
 
-from sim2real.effects.effect import LIMITS, Effect, Parameter
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import LIMITS, Effect, F, Parameter, Row
 
 
 @wp.func
@@ -27,7 +26,6 @@ def ramp(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: 
 
 
 EFFECT = Effect(
-    name="rate_limit",
     plain="a rate limit of the set-point",
     says="the servo limits the speed of its set-point to {limit_rad_s}",
     site="command",

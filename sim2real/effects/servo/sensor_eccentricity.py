@@ -12,9 +12,8 @@ cogging.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.effect import Effect, F, Parameter, Row
 from sim2real.effects.elementary import sine
-from sim2real.effects.warp_types import F, Row
 
 RANGE_RAD = 0.8
 """Angles, either way, over which the sensor is calibrated."""
@@ -41,7 +40,6 @@ _PERIODS = tuple(3.2 / (1.0 + 0.5 * k) for k in range(18))
 _PHASES = (0.0, 2.0944, -2.0944)
 
 EFFECT = Effect(
-    name="sensor_eccentricity",
     plain="eccentricity of the angle sensor",
     says="the error of the angle sensor has an amplitude of {amplitude_rad} and "
     "repeats every {period_rad}",

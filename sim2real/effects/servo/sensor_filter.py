@@ -8,9 +8,8 @@ command filter; only a second sensor distinguishes them. Both filters together a
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.effect import Effect, F, Parameter, Row
 from sim2real.effects.elementary import decay
-from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
@@ -27,7 +26,6 @@ def smooth(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
 
 
 EFFECT = Effect(
-    name="sensor_filter",
     plain="a filter on the measured angle",
     says="the measured angle is low-pass filtered with a time constant of {time_constant_s}",
     site="sensor",

@@ -8,8 +8,7 @@ supply voltage distinguishes them.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row
 
 
 @wp.func
@@ -19,9 +18,8 @@ def scale(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 
 EFFECT = Effect(
-    name="sensor_gain",
     plain="a gain error of the angle sensor",
-    says=lambda p: "the angle sensor reads {gain} too " + ("large" if p["gain"] > 0 else "small"),
+    says="the angle sensor reads {gain} too {gain:large|small}",
     site="sensor",
     term=scale,
     parameters=(Parameter("gain", low=-0.5, high=0.5, typical=0.02),),

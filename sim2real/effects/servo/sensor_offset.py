@@ -5,8 +5,7 @@ Residual: a constant. Confused with: a gravity load about a level position.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row
 
 
 @wp.func
@@ -16,11 +15,8 @@ def shift(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 
 EFFECT = Effect(
-    name="sensor_offset",
     plain="an offset of the angle sensor",
-    says=lambda p: (
-        "the angle sensor reads {offset_rad} too " + ("high" if p["offset_rad"] > 0 else "low")
-    ),
+    says="the angle sensor reads {offset_rad} too {offset_rad:high|low}",
     site="sensor",
     term=shift,
     parameters=(Parameter("offset_rad", low=-0.5, high=0.5, typical=0.02),),

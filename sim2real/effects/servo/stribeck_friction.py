@@ -10,9 +10,8 @@ Coulomb friction, which it contains; only motion below ``velocity_rad_s`` distin
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.effect import Effect, F, Parameter, Row
 from sim2real.effects.elementary import decay
-from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
@@ -26,7 +25,6 @@ def bound(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 
 EFFECT = Effect(
-    name="stribeck_friction",
     plain="Stribeck friction",
     says=lambda p: (
         "friction of {breakaway_Nm} at standstill falls to {torque_Nm} above about {velocity_rad_s}"

@@ -10,8 +10,7 @@ derating, clock drift; a charged battery distinguishes them.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row
 
 
 @wp.func
@@ -22,13 +21,9 @@ def droop(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 
 EFFECT = Effect(
-    name="supply_droop",
     plain="a discharging battery",
-    says=lambda p: (
-        "the supply voltage, and the motor torque with it, "
-        + ("falls" if p["loss_per_min"] > 0 else "rises")
-        + " by {loss_per_min}"
-    ),
+    says="the supply voltage, and the motor torque with it, {loss_per_min:falls|rises} by "
+    "{loss_per_min}",
     site="motor",
     term=droop,
     parameters=(Parameter("loss_per_min", low=-0.5, high=0.5, typical=0.1),),

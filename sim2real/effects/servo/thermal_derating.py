@@ -11,9 +11,8 @@ droop; a pause distinguishes them.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.effect import Effect, F, Parameter, Row
 from sim2real.effects.elementary import decay
-from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
@@ -28,7 +27,6 @@ def weaken(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
 
 
 EFFECT = Effect(
-    name="thermal_derating",
     plain="thermal derating of the motor",
     says="the motor loses up to {loss} of its torque as it heats up",
     site="motor",

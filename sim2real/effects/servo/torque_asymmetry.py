@@ -9,8 +9,7 @@ friction.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row
 
 
 @wp.func
@@ -20,16 +19,9 @@ def favour(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
 
 
 EFFECT = Effect(
-    name="torque_asymmetry",
     plain="a motor torque that differs by direction",
-    says=lambda p: (
-        "the motor torque is {asymmetry} larger in the "
-        + (
-            "positive direction than in the negative"
-            if p["asymmetry"] > 0
-            else "negative direction than in the positive"
-        )
-    ),
+    says="the motor torque is {asymmetry} larger in the "
+    "{asymmetry:positive direction than in the negative|negative direction than in the positive}",
     site="motor",
     term=favour,
     parameters=(Parameter("asymmetry", low=-1.0, high=1.0, typical=0.2),),

@@ -12,8 +12,7 @@ additional inertia distinguishes them, as it increases this residual and not tha
 
 import warp as wp
 
-from sim2real.effects.effect import LIMITS, Effect, Parameter
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import LIMITS, Effect, F, Parameter, Row
 
 
 @wp.func
@@ -24,7 +23,6 @@ def clip(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: 
 
 
 EFFECT = Effect(
-    name="torque_saturation",
     plain="a torque limit below the data sheet's",
     says="the motor torque is limited to {limit_Nm}",
     site="motor",

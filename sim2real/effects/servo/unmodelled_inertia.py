@@ -10,8 +10,7 @@ a pendulum distinguishes them, as its weight is known.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row
 
 
 @wp.func
@@ -21,12 +20,9 @@ def rotor(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 
 EFFECT = Effect(
-    name="unmodelled_inertia",
     plain="inertia missing from the stated load",
-    says=lambda p: (
-        "the stated load inertia is {inertia_kgm2} too "
-        + ("small for the load and its rotor" if p["inertia_kgm2"] > 0 else "large")
-    ),
+    says="the stated load inertia is {inertia_kgm2} too "
+    "{inertia_kgm2:small for the load and its rotor|large}",
     site="inertia",
     term=rotor,
     parameters=(Parameter("inertia_kgm2", low=-0.0018, high=0.04, typical=0.001),),

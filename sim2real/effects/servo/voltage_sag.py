@@ -10,8 +10,7 @@ another joint on the same supply distinguishes them.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
-from sim2real.effects.warp_types import F, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row
 
 
 @wp.func
@@ -23,7 +22,6 @@ def sag(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: i
 
 
 EFFECT = Effect(
-    name="voltage_sag",
     plain="a supply voltage that sags under load",
     says="the supply voltage sags and costs {loss_at_full_load} of the motor torque at full load",
     site="motor",

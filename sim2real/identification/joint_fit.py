@@ -1,0 +1,251 @@
+"""Fits of one joint: the linear servo, the parts of a motor's law that the data show, effects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import compress
+
+import numpy as np
+
+from sim2real.arrays import Array
+from sim2real.effects.effect import Effect
+from sim2real.errors import InputError
+from sim2real.identification.control_loop import fit_sampled_loop
+from sim2real.identification.priors import (
+    MotorPrior,
+    gains,
+    motor_prior,
+    nominal_rotor,
+    of_effects,
+    plain_parameters,
+    scale_inertia,
+)
+from sim2real.identification.problem import Fit, ServoProblem, plain_row
+from sim2real.identification.search import fit
+from sim2real.identification.starts import drawn, first_guess
+from sim2real.inference.correlated_noise import whiteness
+from sim2real.inference.least_squares import rms
+from sim2real.recording import PER_INERTIA
+from sim2real.robot import Servo
+from sim2real.servo.linearised import fastest_visible_rad_s, ringing_rad_s
+from sim2real.servo.parameters import (
+    BASE,
+    COLUMNS,
+    CURRENT_LIMIT,
+    INERTIA_LEFT_OUT,
+    LINE,
+    LOOP,
+    LOSSES,
+    ROTOR,
+    SOFT,
+)
+from sim2real.servo.trace import Trace, sensor_noise, shows_inertia
+
+EXPLAINED = 1.15
+"""Ratio of residual to noise below which no more parameters are added."""
+_LINE = [COLUMNS.index(name) for name in LINE]
+
+
+def fit_plain(
+    traces: Sequence[Trace],
+    rng: np.random.Generator,
+    servo: Servo | None = None,
+    effort: float = 1.0,
+) -> tuple[Fit, list[str]]:
+    """The best fit of gains and latency, and parameters without visible influence.
+
+    These change simulated angles by less than the noise of the sensor, and are not fitted. The
+    rotor of an arm's joint starts from the data sheet.
+
+    Raises:
+        InputError: If no parameter changes the angles visibly.
+    """
+    noise, rotor = sensor_noise(traces), 0.0
+    if traces[0].varying is not None:
+        rotor = traces[0].load.inertia_kgm2 if servo is None else nominal_rotor(servo)
+    starts = first_guess(traces, rng, rotor_kgm2=rotor)
+    problem = ServoProblem(traces, starts[0], plain_parameters(traces, starts[0]))
+    _, (slopes,) = problem.slopes(problem.searched(starts[:1]), rough=False)
+    seen = np.linalg.norm(slopes * problem.natural, axis=0) > noise
+    if not seen.any():
+        found = f"no motion above the noise of {1e3 * noise:.2g} mrad"
+        raise InputError(traces[0].file, "", found, "a joint that moves visibly")
+    without_influence = list(compress(problem.names, ~seen))
+    problem = replace(problem, parameters=tuple(compress(problem.parameters, seen)))
+    best = fit(problem, starts, effort=effort)
+    visible = fastest_visible_rad_s(traces)
+    if ringing_rad_s(traces, best.row) > visible:  # may be an alias of a slower servo
+        slower = first_guess(traces, rng, rotor_kgm2=rotor, fastest_rad_s=visible)
+        best = fit(problem, np.vstack([starts, slower]), effort=effort)
+    return best, without_influence
+
+
+def refitted(traces: Sequence[Trace], row: Array, effects: Sequence[Effect] = ()) -> Fit:
+    """Fit gains, latency and effects, from a similar servo (P,) and one with more inertia."""
+    inertia = scale_inertia(traces, row)
+    free = (*gains(inertia), *of_effects(effects, row, inertia))
+    starts = row[None]
+    if any(effect.name == "unmodelled_inertia" for effect in effects):
+        heavier = row.copy()
+        heavier[:3] *= 1.3, 1.3, 0.3
+        heavier[INERTIA_LEFT_OUT] = 0.3 * inertia
+        starts = np.stack([row, heavier])
+    return fit(ServoProblem(traces, row, free), starts)
+
+
+def fit_effects(
+    traces: Sequence[Trace], plain: Fit, effects: Sequence[Effect], rng: np.random.Generator
+) -> Fit:
+    """Fit gains, latency and the parameters of effects to all traces at once.
+
+    The loss has several minima where effects act on contact or at a limit, and the plain fit
+    absorbs part of them: hence the many starts.
+    """
+    # on an arm the load is what the rotor is not
+    known = () if traces[0].varying is None else ("rotor_inertia_kgm2",)
+    added = of_effects(effects, plain.row, plain.inertia, known)
+    own = plain_parameters(traces, plain.row)
+    problem = ServoProblem(traces, plain.row, (*own, *added))
+    return fit(problem, drawn(problem, plain, rng, draws=1024), last=160, behind=300.0)
+
+
+def choose_motor(
+    traces: Sequence[Trace],
+    plain: Fit,
+    servo: Servo,
+    rng: np.random.Generator,
+    *,
+    losses: bool = True,
+    before: Fit | None = None,
+    white: float = 0.1,
+    error_before_loop: float = 15.0,
+    error_with_loop: float = 1.5,
+    loop_parameters: int = 12,
+) -> Fit:
+    """Fit the limit of the motor's torque and, if that does not explain the recordings, its losses.
+
+    Where the linear servo explains them, its gains are kept and only the limit is fitted. Losses
+    are included if they decrease the loss by clearly more than twice their number (Akaike's
+    criterion). The same applies to gradual friction and, where the residual is at most
+    ``error_before_loop`` times the noise, to a sampled loop, which leaves at most
+    ``error_with_loop`` times the noise and counts as ``loop_parameters``, the best of a thousand
+    periods and phases. A sampled loop of ``before``, the fit to fewer recordings, is kept, and
+    searches start from that fit where it has the same parameters.
+
+    Without ``losses``, as where effects are fitted instead, the motor's line and rotor are fitted.
+    A residual whose lag-1 autocorrelation is below ``white`` counts as white.
+    """
+    if before is not None and LOOP[0] in before.names:
+        return fit(replace(before.problem, traces=traces), before.minima, rounds=3, first=10)
+    noise, prior = sensor_noise(traces), motor_prior(servo, traces)
+    if traces[0].varying is None and rms([plain.error]) < EXPLAINED * noise:
+        return fit_limit(traces, plain, prior, LINE, rng)
+    names: tuple[str, ...] = (*BASE[:3], *LINE)
+    if not losses:
+        return fit_motor(traces, plain, prior, (*names, ROTOR), rng)
+    if shows_inertia(traces):
+        names = (*names, ROTOR)
+    if before is None or BASE[0] not in before.names:
+        best = fit_limit(traces, plain, prior, names, rng)
+    else:
+        names = tuple(dict.fromkeys((*names, *before.names)))
+        known = prior if before.law == "motor" else prior.flat(float(plain.row[1]))
+        best = fit_motor(traces, plain, known, names, rng, before.minima)
+    if best.law == "current_limited":
+        prior = prior.flat(float(plain.row[1]))
+    for part in (LOSSES, SOFT) if before is None else (LOSSES,):
+        if rms([best.error]) < EXPLAINED * noise or part[0] in best.names:
+            break
+        more = fit_motor(traces, best, prior, (*best.names, *part), rng)
+        if not _better(best, more, len(part)):
+            break
+        best = more
+    ratio = rms([best.error]) / noise
+    explained = ratio < EXPLAINED and whiteness(best.residuals) < white
+    if explained or ratio > error_before_loop or before is not None:
+        return best
+    looped = fit_sampled_loop(best, prior)
+    if looped is None or rms([looped.error]) > error_with_loop * noise:
+        return best
+    return looped if _better(best, looped, loop_parameters) else best
+
+
+def fit_limit(
+    traces: Sequence[Trace],
+    plain: Fit,
+    prior: MotorPrior,
+    names: Sequence[str],
+    rng: np.random.Generator,
+    *,
+    plausible_sd: float = 2.0,
+    current_limits: Sequence[float] = (0.85, 0.6),
+) -> Fit:
+    """Fit a motor with the likeliest limit of its torque.
+
+    A drive limited in voltage has the torque-speed line of its data sheet. One limited in current
+    has a flat limit, whatever the speed, and its damping acts in addition: the same law, in which
+    the no-load speed follows from the damping instead of the data sheet (``MotorPrior.flat``). Both
+    at once are a line and a current limit below its stall torque. The flat limit is tried where the
+    no-load speed is ``plausible_sd`` standard deviations of its prior beyond the data sheet, both
+    where one limit leaves a residual, from ``current_limits`` as shares of the stall torque; the
+    larger evidence decides. A limit of which only the prior tells is none.
+
+    ``names`` are the columns to fit, those of the line among them; the gains are those of the
+    linear servo if they are not.
+    """
+    line = fit_motor(traces, plain, prior, names, rng)
+    if prior.ties.drive is not None or traces[0].load is PER_INERTIA:
+        return line  # the drive is known, or the unit of torque is not
+    options, speed = [line], prior[LINE[1]]
+    plausible = min(speed.nominal + plausible_sd * speed.prior_sd, np.log(speed.high) - 1e-3)
+    if np.log(line.row[_LINE[1]]) > plausible:
+        flat = prior.flat(float(plain.row[1]))
+        start = line.row.copy()
+        start[_LINE[1]] = np.exp(flat[LINE[1]].nominal)
+        options.append(fit_motor(traces, plain, flat, names, rng, start[None]))
+    best = _likeliest(options)
+    if BASE[0] in names and rms([best.error]) > EXPLAINED * sensor_noise(traces):
+        starts = np.tile(line.row, (len(current_limits), 1))
+        starts[:, _LINE] = [np.exp(prior[name].nominal) for name in LINE]
+        starts[:, COLUMNS.index(CURRENT_LIMIT)] = starts[:, _LINE[0]] * np.array(current_limits)
+        both = fit_motor(traces, plain, prior, (*names, CURRENT_LIMIT), rng, starts)
+        if both.told(CURRENT_LIMIT):
+            best = _likeliest([best, both])
+    return best
+
+
+def fit_motor(
+    traces: Sequence[Trace],
+    base: Fit,
+    prior: MotorPrior,
+    names: Sequence[str],
+    rng: np.random.Generator,
+    starts: Array | None = None,
+) -> Fit:
+    """Fit the columns ``names`` of a motor; gains that are not among them are those of ``base``.
+
+    Searches start from the servos ``starts`` (S, P), by default from draws about ``base``, a fit
+    with fewer columns.
+    """
+    row = plain_row(0.0, 0.0, 0.0)
+    if BASE[0] not in names:
+        row[:3] = base.row[:3]
+    problem = ServoProblem(traces, row, prior.of(names), prior.ties)
+    lossy = not set(LOSSES).isdisjoint(names)
+    if starts is None:
+        draws, most = (512, 3 if SOFT[0] in names else 12) if lossy else (64, 4)
+        starts = drawn(problem, base, rng, draws=draws, most=most)
+    return fit(problem, starts, behind=200.0 if lossy else 30.0, rng=rng if lossy else None)
+
+
+def _likeliest(options: Sequence[Fit]) -> Fit:
+    """The fit with the largest evidence, for residuals like those of the best fit."""
+    best = min(options, key=lambda motor: motor.scale_rad**2 * motor.inflation)
+    return max(options, key=lambda motor: motor.evidence(best.scale_rad, best.inflation))
+
+
+def _better(fewer: Fit, more: Fit, added: int, *, beyond_chance: float = 6.0) -> bool:
+    """Whether ``added`` parameters decrease the loss significantly, for residuals like theirs."""
+    noise = more.scale_rad, more.inflation
+    return fewer.loss(*noise) - more.loss(*noise) > 2 * added + beyond_chance
