@@ -16,7 +16,7 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.diagnose.case import UNMODELLED_INERTIA
 from sim2real.diagnose.screening import Candidate, Screen, candidate
-from sim2real.diagnose.servo_search import Job, ServoSearch
+from sim2real.diagnose.servo_search import BRANCHES, CONTROL_SIDE, Job, ServoSearch
 from sim2real.effects import named
 from sim2real.effects.effect import Effect
 from sim2real.identification.servo_problem import Hypothesis, Set, Tried
@@ -24,19 +24,19 @@ from sim2real.servo.parameters import FIRST_COLUMN, INERTIA_LEFT_OUT, TRAIN_ROTO
 
 TRAINS = ("backlash", "compliance")
 _COULOMB = "coulomb_friction"
-_OUTPUT_FRICTION, _BRANCHES = "output_friction_Nm", ("control_on_output", "restitution")
+_OUTPUT_FRICTION = "output_friction_Nm"
 _STARTS = {
     "gap_rad": (0.15, 0.3, 0.6, 1.2, 2.4),
     "compliance_rad_per_Nm": (0.3, 1.0, 3.0, 10.0),
     "rotor_inertia_kgm2": (0.5, 1.2, 3.0),
     _OUTPUT_FRICTION: (0.0, 1.0),
-    "control_on_output": (0.0, 1.0),
+    CONTROL_SIDE: (0.0, 1.0),
     "sensor_on_output": (0.0, 1.0),
     "restitution": (0.0, 1.0),
     "damping_ratio": (1.0, 4.0),
 }
 """Starting values in typical values; friction on the output in that of the best fit."""
-_MOST = 2
+_MOST = 3
 """Starts of one branch that are fitted."""
 
 
@@ -69,6 +69,11 @@ def try_gear_trains(problem: ServoSearch, cases: Sequence[Tried]) -> None:
     problem.try_all(list(_whole_inertias(some)))
 
 
+def _full_gain(seen: Screen) -> Array:
+    """Gains in log-likelihood by starts as they are, not by their best strength, shape (S,)."""
+    return np.asarray(seen.score * seen.visible - 0.5 * seen.visible**2)
+
+
 def _whole_inertias(some: Sequence[Tried]) -> Iterator[Job]:
     """The best of each gear train, with a stated load that includes the rotor."""
     for tried in some:
@@ -95,26 +100,32 @@ def _rubbing(best: Hypothesis) -> Set:
 
 
 def _friction_Nm(best: Hypothesis) -> float:
-    """Torque of a set's dry friction, 0 without."""
+    """Largest torque of a set's dry friction, 0 without."""
     row = best.fit.servos.theta[0]
-    columns = [
-        FIRST_COLUMN[e] for e in _rubbing(best) if named(e).parameters[0].name == "torque_Nm"
+    torques = [
+        float(row[FIRST_COLUMN[effect] + k])
+        for effect in _rubbing(best)
+        for k, parameter in enumerate(named(effect).parameters)
+        if parameter.name in ("torque_Nm", "breakaway_Nm")
     ]
-    return float(max(row[columns], default=0.0))
+    return max(torques, default=0.0)
 
 
 def _places(problem: ServoSearch, some: Sequence[Tried]) -> Iterator[tuple[Tried, Hypothesis]]:
-    """The best set of each case without its dry friction, and with Coulomb friction instead."""
+    """The plain servo, and the best set without its dry friction; both with Coulomb friction too.
+
+    What else explains a joint may only imitate a gap, as a dead band does.
+    """
     jobs: list[Job] = []
     for tried in some:
-        best = tried.best
-        smooth = best.members - _rubbing(best)
-        row = best.fit.servos.theta[0].copy()
-        jobs.append((tried, smooth, row))
-        row = row.copy()
-        row[FIRST_COLUMN[_COULOMB]] = _friction_Nm(best)
-        if row[FIRST_COLUMN[_COULOMB]] > 0:
-            jobs.append((tried, smooth | {_COULOMB}, row))
+        best, friction = tried.best, _friction_Nm(tried.best)
+        for smooth in {tried.base, best.members - _rubbing(best)}:
+            row = best.fit.servos.theta[0].copy()
+            jobs.append((tried, smooth, row))
+            row = row.copy()
+            row[FIRST_COLUMN[_COULOMB]] = friction
+            if friction > 0:
+                jobs.append((tried, smooth | {_COULOMB}, row))
     problem.try_all([job for job in jobs if job[1] not in job[0].tried])
     for tried, members, _ in jobs:
         yield tried, tried.tried[members]
@@ -141,10 +152,9 @@ def _with_starts(problem: ServoSearch, tried: Tried, name: str) -> Candidate:
 def _best_of_branches(option: Candidate, seen: Screen, k: int) -> Iterator[Array]:
     """Starts of the k-th candidate that fit best at their full strength, of each branch."""
     mine = np.flatnonzero(seen.candidate == k)
-    full = seen.score[mine] * seen.visible[mine] - 0.5 * seen.visible[mine] ** 2
+    full = _full_gain(seen)[mine]
     starts = option.starts[seen.start[mine]]
-    names = [p.name for p in option.effect.parameters]
-    of = starts[:, [names.index(name) for name in _BRANCHES if name in names]]
+    of = np.stack([option.of(name, seen.start[mine]) for name in BRANCHES], axis=1)
     for branch in np.unique(of, axis=0):
         here = np.flatnonzero((of == branch).all(axis=1))
         for place in here[np.argsort(-full[here])][:_MOST]:
