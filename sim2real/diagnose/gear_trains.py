@@ -36,19 +36,16 @@ _STARTS = {
     "damping_ratio": (1.0, 4.0),
 }
 """Starting values in typical values; friction on the output in that of the best fit."""
-_MOST = 3
-"""Starts of one branch that are fitted."""
 
 
 def try_gear_trains(problem: ServoSearch, cases: Sequence[Tried]) -> None:
-    """Try gear trains on joints that rub, or whose best set leaves something."""
+    """Try gear trains on joints that rub or have one, or whose best set leaves something."""
     some = [
         tried
         for tried in cases
         if tried.best.members != tried.base
-        and not tried.best.members & set(TRAINS)
         and not problem.exhausted(tried)
-        and (_rubbing(tried.best) or problem.remains(tried, tried.best.members))
+        and (_of_gears(tried.best) or problem.remains(tried, tried.best.members))
     ]
     places = list(_places(problem, some))
     lists = [
@@ -94,9 +91,10 @@ def _kept(
     return [places[k] for k in some], [lists[k] for k in some]
 
 
-def _rubbing(best: Hypothesis) -> Set:
-    """Effects of a set that are dry friction."""
-    return frozenset(e for e in best.members if named(e).family == named(_COULOMB).family)
+def _of_gears(best: Hypothesis) -> Set:
+    """Effects of a set that are dry friction or a gear train."""
+    dry = named(_COULOMB).family
+    return frozenset(e for e in best.members if named(e).family == dry or e in TRAINS)
 
 
 def _friction_Nm(best: Hypothesis) -> float:
@@ -104,22 +102,22 @@ def _friction_Nm(best: Hypothesis) -> float:
     row = best.fit.servos.theta[0]
     torques = [
         float(row[FIRST_COLUMN[effect] + k])
-        for effect in _rubbing(best)
+        for effect in _of_gears(best)
         for k, parameter in enumerate(named(effect).parameters)
-        if parameter.name in ("torque_Nm", "breakaway_Nm")
+        if parameter.name in ("torque_Nm", "breakaway_Nm", _OUTPUT_FRICTION)
     ]
     return max(torques, default=0.0)
 
 
 def _places(problem: ServoSearch, some: Sequence[Tried]) -> Iterator[tuple[Tried, Hypothesis]]:
-    """The plain servo, and the best set without its dry friction; both with Coulomb friction too.
+    """The plain servo, and the best set without friction and gears; both with Coulomb friction too.
 
     What else explains a joint may only imitate a gap, as a dead band does.
     """
     jobs: list[Job] = []
     for tried in some:
         best, friction = tried.best, _friction_Nm(tried.best)
-        for smooth in {tried.base, best.members - _rubbing(best)}:
+        for smooth in {tried.base, best.members - _of_gears(best)}:
             row = best.fit.servos.theta[0].copy()
             jobs.append((tried, smooth, row))
             row = row.copy()
@@ -154,8 +152,8 @@ def _best_of_branches(option: Candidate, seen: Screen, k: int) -> Iterator[Array
     mine = np.flatnonzero(seen.candidate == k)
     full = _full_gain(seen)[mine]
     starts = option.starts[seen.start[mine]]
-    of = np.stack([option.of(name, seen.start[mine]) for name in BRANCHES], axis=1)
+    names = (*BRANCHES, "gap_rad")
+    of = np.stack([option.of(name, seen.start[mine]) for name in names], axis=1)
     for branch in np.unique(of, axis=0):
         here = np.flatnonzero((of == branch).all(axis=1))
-        for place in here[np.argsort(-full[here])][:_MOST]:
-            yield starts[place]
+        yield starts[here[full[here].argmax()]]

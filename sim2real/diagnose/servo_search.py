@@ -45,6 +45,7 @@ _SIDES, _BRANCHES = (
     [k for k, name in enumerate(COLUMNS) if name.rpartition(".")[2] in some]
     for some in ((CONTROL_SIDE,), BRANCHES)
 )
+_GAP = FIRST_COLUMN["backlash"]
 FIELDS = ("columns", "unit", "low", "high")
 """Fields of free parameters that servos and candidates have."""
 _TRAINS = {
@@ -169,7 +170,8 @@ class ServoSearch:
     def refit(self, jobs: Sequence[Job], *, free: bool = False) -> list[Hypothesis]:
         """Refit sets of effects from parameter rows; the best of several starts stands for all.
 
-        Starts in different branches of a gear train's law (``BRANCHES``) are fits of their own.
+        Starts in different branches of a gear train's law (``BRANCHES``) and starts with different
+        gaps are fits of their own: motion across a gap has many minima.
         A set is given up where its case has a fit that it can't come near. ``free``: nothing is
         fixed.
         """
@@ -186,7 +188,7 @@ class ServoSearch:
             for tried, members, theta in jobs
         ]
         rough = minimise(self.batch, stacked(servos), iterations=5, blocks=BLOCKS)
-        of = [(x.case, members, tuple(row[_BRANCHES] > 0)) for x, members, row in jobs]
+        of = [(x.case, s, (*(row[_BRANCHES] > 0), row[_GAP])) for x, s, row in jobs]
         sets = list(dict.fromkeys(of))
         place = np.array([sets.index(one) for one in of])
         order = np.lexsort((rough.error2, place))
@@ -284,8 +286,10 @@ def plain_sets(plain: Fits, bases: Sequence[Set] | None = None) -> list[Tried]:
 
 
 def _promised(fit: Fits) -> float:
-    """Gain in log-likelihood that the next full step of a lone fit promises."""
+    """Gain in log-likelihood that the next full step of a lone fit promises, 0 if it diverges."""
     total = fit.gram[0].sum(axis=0)
+    if not np.isfinite(total).all():
+        return 0.0
     inverse = np.linalg.pinv(total[1:, 1:], rcond=1e-10, hermitian=True)
     share = float(total[0, 1:] @ inverse @ total[1:, 0]) / max(float(total[0, 0]), 1e-300)
     return -0.5 * float(fit.count[0]) * float(np.log1p(-min(share, 1 - 1e-9)))
