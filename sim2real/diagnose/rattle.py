@@ -60,12 +60,17 @@ def rattles(joints: Sequence[Sequence[Trace]], residuals: Array) -> list[Rattle 
     return alone
 
 
-def rattle(times: Sequence[Array], residuals: Sequence[Array]) -> Rattle | None:
+def rattle(
+    times: Sequence[Array],
+    residuals: Sequence[Array],
+    *,
+    least: float = DECISION.report.rattle_ratio,
+) -> Rattle | None:
     """The peak in the spectra of a joint's residuals in rad at times in s, None without one.
 
-    The peak's band has ``DECISION.report.rattle_ratio`` times the power of the median band, and
-    twice that of every band from the lowest to two below it: the residual of a motion that is
-    modelled badly falls with frequency instead.
+    The peak's band has ``least`` times the power of the median band, and twice that of every band
+    from the lowest to two below it: the residual of a motion that is modelled badly falls with
+    frequency instead.
     """
     spectra = [_bands(t, e) for t, e in zip(times, residuals, strict=True)]
     count = min((s.size for s in spectra), default=0)
@@ -75,7 +80,7 @@ def rattle(times: Sequence[Array], residuals: Sequence[Array]) -> Rattle | None:
     floor, top = float(np.median(power)), int(power.argmax())
     ratio = float(power[top]) / max(floor, 1e-300)
     moving = top < 2 or (2 * power[: top - 1] > power[top]).any()
-    if moving or ratio < DECISION.report.rattle_ratio:
+    if moving or ratio < least:
         return None
     around = power[top - 2 : top + 3]
     sd = float(np.sqrt(np.sum(np.maximum(around - floor, 0.0))))
