@@ -17,7 +17,7 @@ from cases import SAME_JOINT_SHARE, STRAY_SHARE, STRONGEST, WEAKEST, WEAKEST_OF_
 from catalogue import EFFECTS, NOMINAL, Scale
 from clock import Disturbance, draw_disturbance, empty_cells
 from excitation import DURATION_S, signal
-from foreign_servos import SLOW_LOOP_HZ, ForeignServo, draw_servos
+from foreign_servos import GEARED, HOBBY, SLOW_LOOP_HZ, ForeignServo, draw_servos
 from foreign_world import (
     GRID_S,
     LINK,
@@ -88,7 +88,9 @@ OUTSIDE = {
 }  # fmt: skip
 
 
-SIMULATORS = {"mujoco": mujoco_plant, "voltage": voltage_plant, "gears": gear_plant}
+for _of_plant in (CAN, BACKLASH_WITH_FRICTION, OUTSIDE):
+    _of_plant[HOBBY] = _of_plant["gears"]
+SIMULATORS = {"mujoco": mujoco_plant, "voltage": voltage_plant} | dict.fromkeys(GEARED, gear_plant)
 
 
 @dataclass

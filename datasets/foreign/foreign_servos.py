@@ -12,13 +12,17 @@ import numpy as np
 from bench import JOINTS, STEPS_RAD, Sensor, Servo, _draw_loads, _log_uniform
 
 PLANTS = ("mujoco", "voltage", "own", "gears")
+HOBBY = "hobby"
+"""Gear trains of servos that control the angle of their output, with flanks that bounce."""
+GEARED = ("gears", HOBBY)
+FLANKS_HZ, FLANK_DAMPINGS = (150.0, 600.0), (0.1, 0.5)
 BENCHES = (0.5, 0.35, 0.15)
 """Shares of benches of one, two and three servos."""
 MOST_NOISE_LEVELS = 5.0
 LARGEST_NUISANCE_RAD = 6e-3
 RANGE_RAD = 0.8
 """Angles over which a sensor is calibrated."""
-FLAT_PLANTS = ("mujoco", "gears")
+FLAT_PLANTS = ("mujoco", *GEARED)
 FLAT_SHARE = 2 / 3
 """Share of benches of these plants whose drives are limited in current."""
 SHEET_SPREAD = 0.07
@@ -40,6 +44,8 @@ class ForeignServo(Servo):
         dry_friction_Nm: Coulomb friction of the servo, hidden effects aside.
         current_limited: Whether the drive's torque is clipped at the stall torque at any speed, and
             the stated no-load speed does not limit it.
+        control_on_output: Whether the controller sees the output's angle, not the motor's.
+        flank: Frequency in Hz of rotor and output on the flanks of the gears, damping ratio.
     """
 
     loop_Hz: float = 1000.0
@@ -49,6 +55,8 @@ class ForeignServo(Servo):
     sensor_on_output: bool = False
     dry_friction_Nm: float = 0.0
     current_limited: bool = False
+    control_on_output: bool = False
+    flank: tuple[float, float] = (250.0, 0.4)
     calibration: tuple[float, float] = field(init=False, default=(0.0, 0.0))
 
     def __post_init__(self) -> None:
@@ -110,12 +118,15 @@ def _draw(plant: str, place: int, rng: np.random.Generator, *, flat: bool) -> Fo
         read_s=float(place * rng.uniform(0.2e-3, 1e-3)),
     )
     off = np.exp(SHEET_SPREAD * rng.normal(size=2))
-    if plant == "gears":
+    if plant in GEARED:
         least = min(load.inertia_kgm2 for load in servo.loads.values())
         servo.rotor_inertia = float(rng.uniform(0.15, 0.6) * least)
         servo.sensor_on_output = bool(rng.random() < 0.5)
-    if plant in ("gears", "mujoco"):
+    if plant in (*GEARED, "mujoco"):
         servo.friction_on_output = bool(rng.random() < 0.5)
+    if plant == HOBBY:
+        servo.sensor_on_output = servo.control_on_output = True
+        servo.flank = _log_uniform(rng, *FLANKS_HZ), float(rng.uniform(*FLANK_DAMPINGS))
     servo.stated = {
         "max_torque_Nm": float(servo.stall_Nm * off[0]),
         "no_load_speed_rad_s": float(servo.no_load_speed_rad_s * off[1]),

@@ -19,15 +19,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 STEP_S = 2e-5
-FLANK_HZ, FLANK_DAMPING = 250.0, 0.4
-"""Frequency of rotor and output on the stiff flanks of a train with play, and damping ratio."""
 SPRING_DAMPING = 0.05
 """Damping ratio of a train that is a spring."""
 FIELDS = {  # with the value at which each does nothing
     "kp": 1.0, "kd": 0.0, "firmware_kd": 0.0, "stall": 1e9, "rotor": 1.0, "output": 1.0,
     "pendulum": 0.0, "ripple": 0.0, "waves": 1.0, "phase": 0.0,
     "gap": 0.0, "spring": 1e3, "damper": 0.0,
-    "dry_rotor": 0.0, "dry_output": 0.0, "on_output": 0.0,
+    "dry_rotor": 0.0, "dry_output": 0.0, "on_output": 0.0, "control_on_output": 0.0,
     "drag": 0.0, "dead": 0.0, "limit": 1e9, "integral": 0.0, "weight": 0.0,
     "cog": 0.0, "cog_period": 1.0, "cog_phase": 0.0, "push": 0.0, "jam": 0.0,
     "shake": 0.0, "shake_Hz": 1.0, "shake_phase": 0.0, "stop": 1e9, "stop_side": 1.0, "stop_k": 0.0,
@@ -68,6 +66,7 @@ def simulate(
         "pendulum": load.gravity_Nm, "ripple": servo.nuisances["ripple_Nm"],
         "waves": servo.nuisances["ripple_per_rad"], "phase": servo.nuisances["ripple_phase"],
         "on_output": float(servo.sensor_on_output or "backlash" in acting),
+        "control_on_output": float(servo.control_on_output),
     }  # fmt: skip
     for effect, parameters in acting.items():
         for name, parameter in _FROM.get(effect, {}).items():
@@ -78,7 +77,7 @@ def simulate(
     values[side] = servo.dry_friction_Nm
     values[side] += acting.get("coulomb_friction", {}).get("torque_Nm", 0.0)
     together = rotor * output / (rotor + output)
-    spring, ratio = together * (2 * np.pi * FLANK_HZ) ** 2, FLANK_DAMPING
+    spring, ratio = together * (2 * np.pi * servo.flank[0]) ** 2, servo.flank[1]
     if "compliance" in acting:
         spring, ratio = 1 / acting["compliance"]["compliance_rad_per_Nm"], SPRING_DAMPING
     values |= {"rotor": rotor, "output": output, "spring": spring}
@@ -96,8 +95,8 @@ def simulate(
 
 
 (KP, KD, FIRMWARE_KD, STALL, ROTOR, OUTPUT, PENDULUM, RIPPLE, WAVES, PHASE, GAP, SPRING, DAMPER,
- DRY_ROTOR, DRY_OUTPUT, ON_OUTPUT, DRAG, DEAD, LIMIT, INTEGRAL, WEIGHT, COG, COG_PERIOD, COG_PHASE,
- PUSH, JAM,
+ DRY_ROTOR, DRY_OUTPUT, ON_OUTPUT, CONTROL_ON_OUTPUT, DRAG, DEAD, LIMIT, INTEGRAL, WEIGHT,
+ COG, COG_PERIOD, COG_PHASE, PUSH, JAM,
  SHAKE, SHAKE_HZ, SHAKE_PHASE, STOP, STOP_SIDE, STOP_K, SCHEDULE, SCHEDULE_BY,
  ) = range(len(FIELDS))  # fmt: skip
 
@@ -119,8 +118,11 @@ def _march(p, target, inside, turn, at_once):
     for k in range(target.size):
         time = k * STEP_S
         out[k] = b if p[ON_OUTPUT] > 0.0 else a
+        controlled, its_speed = a, va
+        if p[CONTROL_ON_OUTPUT] > 0.0:
+            controlled, its_speed = b, vb
         if k % turn == 0:
-            seen = a
+            seen = controlled
         if k % turn == 0 or at_once:
             error = target[k] - seen
             size = max(abs(error) - p[DEAD], 0.0)
@@ -130,7 +132,7 @@ def _march(p, target, inside, turn, at_once):
         if p[INTEGRAL] > 0.0:
             most = 0.5 * p[STALL]
             integral = min(max(integral + p[INTEGRAL] * (target[k] - seen) * STEP_S, -most), most)
-        asked = drive + integral - p[FIRMWARE_KD] * va
+        asked = drive + integral - p[FIRMWARE_KD] * its_speed
         motor = min(max(asked, -p[STALL]), p[STALL]) - p[KD] * va
         if p[LIMIT] < 1e8:
             motor = min(max(motor, -p[LIMIT]), p[LIMIT])

@@ -1,4 +1,4 @@
-"""Make cases of servos of four plants: MuJoCo, by the circuit, a gear train, and our own.
+"""Make cases of servos: of MuJoCo, by the circuit, two gear trains, and our own.
 
 Needs ``pip install mujoco numba``. Run ``python datasets/foreign/make_foreign.py --help``.
 """
@@ -22,7 +22,7 @@ import numpy as np
 from bus_answer import bus_answer
 from files import answer, hashes, write_case
 from foreign_cases import BACKLASH_WITH_FRICTION, CAN, OUTSIDE, draw_case, nuisances
-from foreign_servos import PLANTS
+from foreign_servos import HOBBY, PLANTS
 from knower import consult
 from tqdm import tqdm
 
@@ -94,7 +94,8 @@ def make(job: tuple[Path, int, int, tuple[str, str, str], bool]) -> Row:
          "firmware_damping": s.firmware_damping, "stated": s.stated,
          "rotor_inertia": s.rotor_inertia, "friction_on_output": s.friction_on_output,
          "sensor_on_output": s.sensor_on_output, "dry_friction_Nm": s.dry_friction_Nm,
-         "current_limited": s.current_limited}
+         "current_limited": s.current_limited, "control_on_output": s.control_on_output,
+         "flank": s.flank}
         for s in case.servos
     ]  # fmt: skip
     return {**answer(case, label), **more, "oracle": consult(case) if oracle else {}}
@@ -141,7 +142,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         nargs="+",
         default=PLANTS,
         metavar="PLANT",
-        help=f"plants that take turns, separated by blanks or commas; default: {' '.join(PLANTS)}",
+        help=f"plants that take turns, separated by blanks or commas: {HOBBY}, and by default"
+        f" {' '.join(PLANTS)}",
     )
     parser.add_argument(
         "--effects",
@@ -158,7 +160,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.consult:
         consult_all(options.out, options.processes)
         return
-    plants = _names(options.plants, PLANTS, parser)
+    plants = _names(options.plants, (*PLANTS, HOBBY), parser)
     known = dict.fromkeys(name for plant in plants for name in singles(plant))
     effects = _names(options.effects, known, parser)
     if options.out.exists() and any(options.out.iterdir()):

@@ -176,13 +176,14 @@ def judged(finding: Finding, unseen: Errors, *, link_probability: float = 0.0) -
     probable = [g for g in groups if g.probability >= DECISION.named]
     matters = any(finding.changes(unseen, g.head) >= DECISION.negligible for g in probable)
     mismatch = ODDS["mismatch"].probability(whole) >= DECISION.mismatch_probability
+    rattling = finding.rattle is not None and link_probability < DECISION.named
     # Negligible effects do not explain a residual that is structured without them.
     unsolved = mismatch and not coarse and (not probable or (not matters and finding.structured))
     return replace(
         finding,
-        mismatch=bool(coarse) or matters or mismatch or unknown > DECISION.named,
+        mismatch=bool(coarse) or matters or mismatch or rattling or unknown > DECISION.named,
         groups=tuple(sorted([*coarse, *groups], key=lambda g: -g.probability)),
-        unexplained=unknown > DECISION.named or unsolved,
+        unexplained=unknown > DECISION.named or unsolved or rattling,
         unknown=unknown,
     )
 

@@ -71,6 +71,7 @@ class ReportDecision:
     rival_min_probability: float  # probability above which an effect is listed as considered
     throughout_share: float  # share of the time from which a mismatch is present throughout
     driving_gain: float  # gain in log-likelihood from which a state drives a mismatch
+    rattle_ratio: float  # power of a spectrum's peak over its median band that is a rattle
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ import numpy as np
 
 from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
+from sim2real.diagnose.gear_trains import try_gear_trains
 from sim2real.diagnose.screening import NUISANCES, candidate
 from sim2real.diagnose.servo_search import Job, ServoSearch, plain_again, plain_sets
 from sim2real.effects import named
@@ -68,10 +69,13 @@ def search(
         jobs += [(tried, tried.base | members, theta) for members, theta in rows]
     problem.try_all(jobs)
     problem.singles = not again
+    if not again:
+        selection.select(problem, cases, selection.Breadth(most=1), progress)
+        try_gear_trains(problem, cases)
+        problem.singles = False
     breadth = selection.Breadth(added=3, rivals=2) if again else selection.Breadth()
     selection.select(problem, cases, breadth, progress, problem.exhausted)
     if not again:
-        problem.singles = False
         # Where the plain servo is most probable no effect is named, and no rival matters.
         going = [x for x in cases if x.best.members != x.base and not problem.exhausted(x)]
         changed = with_rivals(problem, going, [joints[x.case] for x in going])

@@ -19,6 +19,7 @@ from sim2real.diagnose.effect_search import (
     with_rotors,
 )
 from sim2real.diagnose.link_effect import IrregularTiming, LinkData, link_of
+from sim2real.diagnose.rattle import Rattle, rattles
 from sim2real.diagnose.result import Estimate
 from sim2real.diagnose.servo_search import ServoSearch
 from sim2real.diagnose.unmodelled import Unmodelled, beyond_noise, excess, unmodelled
@@ -61,6 +62,7 @@ class Finding:
     unknown: float  # probability that what is missing is not in the catalogue
     excess: float  # energy of the best set's residual beyond noise, in variances of the noise
     noise: float  # standard deviation of the sensor's noise, rad
+    rattle: Rattle | None = None  # what rattles in it, if gears are not among the effects
     link: IrregularTiming | None = None  # irregular timing of the link, or None
     place: int = 0  # of the joint among those of the link
     # parameters of what has changed since references, by change and name
@@ -186,6 +188,8 @@ def _findings(
         free=True,
     )
     without = unmodelled(batch, data, joined([tried.plain.fit for tried in cases]))
+    rattling = rattles(data, residual_angles(batch, joined([h.fit for h in best])))
+    rattling = [None if "backlash" in h.members else x for x, h in zip(rattling, best, strict=True)]
     _, excesses = beyond_noise(batch, data, joined([h.fit for h in best]))
     return [
         Finding(
@@ -201,6 +205,7 @@ def _findings(
             unknown=0.0,
             excess=excesses[j],
             noise=joint.noise,
+            rattle=rattling[j],
         )
         for j, (joint, tried) in enumerate(zip(joints, cases, strict=True))
     ]

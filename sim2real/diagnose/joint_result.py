@@ -24,6 +24,7 @@ from sim2real.inference.normal import Z90
 from sim2real.model import FittedEffect, JointModel
 from sim2real.servo.parameters import (
     COLUMNS,
+    FIRST_COLUMN,
     INERTIA_LEFT_OUT,
     ROTOR_INERTIA,
     TRAIN_ROTORS,
@@ -194,6 +195,9 @@ class JointFindings:
                 sd = max(high - mean, mean - low) / Z90
                 bounds = max(low, bounds[0]), min(high, bounds[1])
             estimates[name] = Estimate.normal(mean, sd, *bounds)
+        for k, parameter in enumerate(named(effect).parameters if estimates else ()):
+            value = float(servos.theta[0, FIRST_COLUMN[effect] + k])
+            estimates.setdefault(parameter.name, Estimate.normal(value, 0.0))  # of its branch
         return estimates
 
 

@@ -32,6 +32,11 @@ class Candidate:
     unit: Array  # their natural sizes, shape (K,)
     starts: Array  # values to start from, shape (S, K)
 
+    def of(self, name: str, some: Index) -> Array:
+        """Values of a parameter in some of the starts, 0 if the effect does not have it."""
+        names = [p.name for p in self.effect.parameters]
+        return self.starts[some, names.index(name)] if name in names else np.zeros(len(some))
+
 
 def candidate(effect: Effect, kp: float, inertia: float, *, apart: float = 1.5) -> Candidate:
     """An effect scaled to a servo of ``kp`` N m/rad on ``inertia`` kg m2.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim2real.arrays import Array, Index, Mask
+from sim2real.arrays import Array, Index, Integers, Mask
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.screening import NUISANCES, Candidate, Screen, candidate, candidates, screen
 from sim2real.effects import named
@@ -38,7 +38,16 @@ from sim2real.servo.parameters import (
 Job = tuple[Tried, Set, Array]
 """What was tried on a joint, the set of effects to refit, and the parameters to start from."""
 
-_GAIN = "sensor_gain"
+_GAIN, CONTROL_SIDE = "sensor_gain", "control_on_output"
+BRANCHES = CONTROL_SIDE, "restitution"
+"""Parameters of gear trains whose fits have a branch at 0 and another one."""
+_SIDES, _BRANCHES = (
+    [k for k, name in enumerate(COLUMNS) if name.rpartition(".")[2] in some]
+    for some in ((CONTROL_SIDE,), BRANCHES)
+)
+_GAP = FIRST_COLUMN["backlash"]
+FIELDS = ("columns", "unit", "low", "high")
+"""Fields of free parameters that servos and candidates have."""
 _TRAINS = {
     name: (FIRST_COLUMN[name], 1e-3 * named(name).parameters[0].typical)
     for name in ("backlash", "compliance")
@@ -140,6 +149,10 @@ class ServoSearch:
             visible = mine[seen.visible[mine] > self.limits.least_visible]
             if most is not None or seen.gain[best] > self.limits.hopeless_gain:
                 starts.append(best)
+            if most is None:  # a controller on either side of a gear train: fits of their own
+                side = option.of(CONTROL_SIDE, seen.start[mine])
+                others = mine[side != side[mine == best]]
+                starts += [int(others[seen.gain[others].argmax()])] if others.size else []
             if weakest and visible.size and not option.effect.everywhere:
                 starts.append(int(visible[seen.visible[visible].argmin()]))
         chosen = []
@@ -157,6 +170,8 @@ class ServoSearch:
     def refit(self, jobs: Sequence[Job], *, free: bool = False) -> list[Hypothesis]:
         """Refit sets of effects from parameter rows; the best of several starts stands for all.
 
+        Starts in different branches of a gear train's law (``BRANCHES``) and starts with different
+        gaps are fits of their own: motion across a gap has many minima.
         A set is given up where its case has a fit that it can't come near. ``free``: nothing is
         fixed.
         """
@@ -173,16 +188,17 @@ class ServoSearch:
             for tried, members, theta in jobs
         ]
         rough = minimise(self.batch, stacked(servos), iterations=5, blocks=BLOCKS)
-        sets = list(dict.fromkeys((tried.case, members) for tried, members, _ in jobs))
-        place = np.array([sets.index((tried.case, members)) for tried, members, _ in jobs])
+        of = [(x.case, s, (*(row[_BRANCHES] > 0), row[_GAP])) for x, s, row in jobs]
+        sets = list(dict.fromkeys(of))
+        place = np.array([sets.index(one) for one in of])
         order = np.lexsort((rough.error2, place))
         first = order[np.unique(place[order], return_index=True)[1]]
         fits = [rough.single(k) for k in first]
         top = {tried.case: float(tried.best.fit.loglikelihood[0]) for tried, _, _ in jobs}
-        for (case, _), fit in zip(sets, fits, strict=True):
+        for (case, *_), fit in zip(sets, fits, strict=True):
             top[case] = max(top[case], float(fit.loglikelihood[0]))
         goals = np.array(
-            [-np.inf if _GAIN in s else top[case] - self.limits.near for case, s in sets]
+            [-np.inf if _GAIN in s else top[case] - self.limits.near for case, s, _ in sets]
         )
         reach = np.array([x.loglikelihood[0] + self.limits.promise * _promised(x) for x in fits])
         left = np.flatnonzero(~rough.converged[first] & (reach > goals))
@@ -270,8 +286,10 @@ def plain_sets(plain: Fits, bases: Sequence[Set] | None = None) -> list[Tried]:
 
 
 def _promised(fit: Fits) -> float:
-    """Gain in log-likelihood that the next full step of a lone fit promises."""
+    """Gain in log-likelihood that the next full step of a lone fit promises, 0 if it diverges."""
     total = fit.gram[0].sum(axis=0)
+    if not np.isfinite(total).all():
+        return 0.0
     inverse = np.linalg.pinv(total[1:, 1:], rcond=1e-10, hermitian=True)
     share = float(total[0, 1:] @ inverse @ total[1:, 0]) / max(float(total[0, 0]), 1e-300)
     return -0.5 * float(fit.count[0]) * float(np.log1p(-min(share, 1 - 1e-9)))
@@ -358,12 +376,22 @@ def with_effects(
     for option in options:
         row[option.columns] = theta[option.columns]
     added = [option for option in options if option.effect.name not in fixed]
-    own = own_parameters(plain)
-    free = (
-        np.concatenate([getattr(plain, field)[0, own], *(getattr(c, field) for c in added)])[None]
-        for field in ("columns", "unit", "low", "high")
+    free = [own_parameters(plain), *(~in_its_branch(row, one.columns) for one in added)]
+    parts = (
+        [getattr(plain, field)[0] for field in FIELDS],
+        *([getattr(one, field) for field in FIELDS] for one in added),
     )
-    return Servos(plain.joint, row[None], *free)
+    fields = zip(*parts, strict=True)
+    return Servos(
+        plain.joint,
+        row[None],
+        *(np.concatenate([x[k] for x, k in zip(of, free, strict=True)])[None] for of in fields),
+    )
+
+
+def in_its_branch(row: Array, columns: Integers) -> Mask:
+    """Which parameters of a row (P,) stay as they are: the controller's side, rebounds of 0."""
+    return np.asarray(np.isin(columns, _SIDES) | np.isin(columns, _BRANCHES) & (row[columns] == 0))
 
 
 def own_parameters(servos: Servos) -> Mask:

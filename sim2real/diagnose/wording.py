@@ -219,6 +219,8 @@ def _segments(joint: JointFindings) -> list[tuple[Window, ...]]:
 def _where(joint: JointFindings, segments: Sequence[tuple[Window, ...]]) -> str:
     """The states, or the segments, in which a mismatch occurs."""
     without, traces = joint.finding.unmodelled, joint.joint.traces
+    if joint.finding.rattle is not None:
+        return str(joint.finding.rattle)
     state, gain = max(without.smooth.shares.items(), key=lambda entry: entry[1])
     driven = gain > DECISION.report.driving_gain
     words = _WORDS[state] if driven else "the residual depends on no single state"

@@ -38,8 +38,10 @@ STEP = (
     f"Integrator and time step of this file: {INTEGRATOR}, {1e3 * TIMESTEP_S:g} ms (<option>); "
     "set them in your model too, or expect the errors of your own."
 )
-CONTACT = {"solreflimit": f"{2 * TIMESTEP_S} 1", "solimplimit": "0.999 0.9999 0.0001"}
+CONTACT_S, CONTACT_IMPEDANCE = 2 * TIMESTEP_S, "0.999 0.9999 0.0001"
 """The flanks of a gear train with play, as rigid as the time step allows."""
+LEAST_RESTITUTION = 1e-3
+SEEN = "control_on_output"
 
 PID = {"integral_action", "rate_limit"}
 """Effects whose drive is a ``pid``."""
@@ -83,6 +85,7 @@ def expressed(joint: JointModel) -> set[str]:
     """Effects of a joint that an MJCF file expresses; a ``pid`` cannot filter its commands."""
     has = {*HAS, *limit_effects(joint), *SOFT}
     names = {fitted.effect for fitted in joint.effects}
+    has -= {fitted.effect for fitted in joint.effects if fitted.parameters.get(SEEN)}
     if SATURATION in names and _two_limits(actuators(Model({"joint": joint}))[0]):
         has |= {SATURATION, BEYOND_LIMIT}
     return has - {"command_filter"} if names & PID else has
@@ -115,6 +118,10 @@ def mujoco(
         _sensor(servo, parts["sensor"])
         both = {SATURATION} if _two_limits(servo) else set()
         lines += left_out(servo, "MuJoCo", (*HAS, *SOFT, *both), LACKS)
+        for effect, values in servo.effects.items():
+            if values.get(SEEN):
+                why = "an actuator feeds back the angle that it moves, here the motor's"
+                lines.append(LeftOut(servo.joint, f"{effect}.{SEEN}", why))
         if servo.effects.keys() >= {"backlash", "compliance"}:
             why = "the stops of a joint with play are rigid"
             lines.append(LeftOut(servo.joint, "compliance with backlash", why))
@@ -198,11 +205,23 @@ def _train(servo: Actuator) -> dict[str, str]:
     if spring > 0 and gap == 0:
         inertia = servo.inertia + servo.beyond_load
         share = _rotor(servo) / inertia
-        damping = 2 * SPRING_DAMPING * math.sqrt(share * (1 - share) * inertia / spring)
+        ratio = servo.value("compliance", "damping_ratio") or SPRING_DAMPING
+        damping = 2 * ratio * math.sqrt(share * (1 - share) * inertia / spring)
         return {"stiffness": _text(1 / spring), "damping": _text(damping)}
     if gap > 0:
-        return {"limited": "true", "range": _text(-gap / 2, gap / 2)} | CONTACT
+        return {"limited": "true", "range": _text(-gap / 2, gap / 2)} | _contact(servo)
     return {}
+
+
+def _contact(servo: Actuator) -> dict[str, str]:
+    """Attributes of flanks that rebound: the damping ratio of an oscillator that does so.
+
+    A half-period of a damped oscillator reverses its speed by exp(-pi z / sqrt(1 - z^2)).
+    """
+    lost = -math.log(max(servo.value("backlash", "restitution"), LEAST_RESTITUTION))
+    ratio = lost / math.hypot(math.pi, lost) if lost < -math.log(LEAST_RESTITUTION) else 1.0
+    reference = _text(CONTACT_S / ratio, ratio)
+    return {"solreflimit": reference, "solimplimit": CONTACT_IMPEDANCE}
 
 
 def _rotor(servo: Actuator) -> float:

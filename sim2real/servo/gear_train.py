@@ -72,7 +72,9 @@ class Train:
     """A gear train: inertias in kg m2, half the gap in rad.
 
     ``stiffness`` of the spring is in N m/rad, 0 where the flanks are rigid, and ``damper`` in
-    N m s; ``friction`` is the bound of dry friction on the output, N m.
+    N m s; ``friction`` is the bound of dry friction on the output, N m; ``restitution`` the ratio
+    of the rates after and before an impact; ``seen`` is 1 where the controller sees the output's
+    angle and 0 where it sees the motor's.
     """
 
     motor: wp.float64
@@ -83,6 +85,8 @@ class Train:
     stiffness: wp.float64
     damper: wp.float64
     friction: wp.float64
+    restitution: wp.float64
+    seen: wp.float64
 
 
 @wp.func
@@ -107,12 +111,40 @@ def time_to(x: F, v: F, a: F) -> F:
 
 
 @wp.func
+def apart_for(q: F, v: F, x: F, rate: F, drive: Push, load: F, dry: F, h: F, g: Train) -> wp.vec4d:
+    """Angles and speeds of the motor's side and of the output after h without contact."""
+    zero = wp.float64(0.0)
+    w = v - rate
+    output = free_mass(q - x, w, load, zero, g.output, g.friction, h)
+    stiff = wp.float64(0.5) * h * drive.stiffness
+    damping = drive.damping + stiff
+    torque = drive.torque
+    if drive.seen > zero:
+        on_output = drive.seen_damping + drive.seen * stiff
+        torque -= on_output * wp.float64(0.5) * (w + output[1])
+        damping -= on_output
+    motor = free_mass(q, v, torque, damping, g.motor, dry, h)
+    return wp.vec4d(motor[0], motor[1], output[0], output[1])
+
+
+@wp.func
+def rebound(side: F, rate: F, torque: F, load: F, h: F, g: Train) -> F:
+    """Rate of the motor's lead after an impact; 0 where a rebound ends soon, within h / 2."""
+    after = -g.restitution * rate
+    press = side * (torque / g.motor - load / g.output)
+    if wp.float64(4.0) * wp.abs(after) <= press * h:
+        return wp.float64(0.0)
+    return after
+
+
+@wp.func
 def across_gap(state: wp.vec4d, drive: Push, load: F, dry: F, h: F, g: Train) -> wp.vec4d:
     """A sub-step of a train whose flanks are rigid, divided where they meet.
 
     A state is the angle and speed of the motor's side, the lead of the motor, and its rate. The
-    torque of ``drive`` is from the start: ``torque - stiffness (q - q0) - damping v``; the
-    stiffness is kp, or 0 where it is clipped. Implicit, as a small rotor is fast.
+    torque of ``drive`` is from the start: ``torque - stiffness (q - q0) - damping v`` with the
+    angle and speed that the controller sees; the stiffness is kp, or 0 where it is clipped.
+    Implicit, as a small rotor is fast.
     """
     zero = wp.float64(0.0)
     q = state[0]
@@ -121,38 +153,47 @@ def across_gap(state: wp.vec4d, drive: Push, load: F, dry: F, h: F, g: Train) ->
     rate = wp.float64(state[3])  # of x
     remaining = wp.float64(h)
     phase = int(0)
+    push = Push()
+    push.torque = drive.torque
+    push.damping = drive.damping
+    push.stiffness = drive.stiffness
+    push.seen = drive.seen
+    push.seen_damping = drive.seen_damping
     while phase < _PHASES and remaining > zero:
         phase += 1
         side = zero
         joined = wp.vec4d(zero, zero, zero, zero)  # both sides as one mass
-        torque = drive.torque
         if phase > 1:
-            torque -= drive.stiffness * (q - state[0])
-        damping = drive.damping + wp.float64(0.5) * remaining * drive.stiffness
+            moved = q - state[0] - drive.seen * (x - state[2])
+            push.torque = drive.torque - drive.stiffness * moved
         if wp.abs(x) >= g.half_gap * wp.float64(1.0 - 1e-12) and x * rate >= zero:
             side = wp.sign(x)
             if rate != zero:  # an impact
-                v -= g.output_share * rate
-                rate = zero
-            end = free_mass(q, v, torque + load, damping, g.total, dry + g.friction, remaining)
-            joined = wp.vec4d(end[0], end[1], side * g.half_gap, zero)
-            if pressed(side, v, end[1], torque - damping * v, load, dry, remaining, g):
-                return joined
-        motor = free_mass(q, v, torque, damping, g.motor, dry, remaining)
-        output = free_mass(q - x, v - rate, load, zero, g.output, g.friction, remaining)
-        apart = motor[0] - output[0]
+                after = rebound(side, rate, push.torque - push.damping * v, load, h, g)
+                v -= g.output_share * (rate - after)
+                rate = after
+            if rate == zero:
+                damping = push.damping + wp.float64(0.5) * remaining * push.stiffness
+                one = free_mass(
+                    q, v, push.torque + load, damping, g.total, dry + g.friction, remaining
+                )
+                joined = wp.vec4d(one[0], one[1], side * g.half_gap, zero)
+                torque = push.torque - damping * v
+                if pressed(side, v, one[1], torque, load, dry, remaining, g):
+                    return joined
+        end = apart_for(q, v, x, rate, push, load, dry, remaining, g)
+        apart = end[0] - end[2]
         if wp.abs(apart) <= g.half_gap:
-            return wp.vec4d(motor[0], motor[1], apart, motor[1] - output[1])
-        if wp.sign(apart) == side:  # neither pressed nor parted
+            return wp.vec4d(end[0], end[1], apart, end[1] - end[3])
+        if wp.sign(apart) == side and rate == zero:  # neither pressed nor parted
             return joined
         side = wp.sign(apart)
-        acceleration = side * (motor[1] - output[1] - rate) / remaining
+        acceleration = side * (end[1] - end[3] - rate) / remaining
         until = wp.min(time_to(g.half_gap - side * x, side * rate, acceleration), remaining)
-        motor = free_mass(q, v, torque, damping, g.motor, dry, until)
-        output = free_mass(q - x, v - rate, load, zero, g.output, g.friction, until)
-        q = motor[0]
-        v = motor[1]
-        rate = motor[1] - output[1]
+        end = apart_for(q, v, x, rate, push, load, dry, until, g)
+        q = end[0]
+        v = end[1]
+        rate = end[1] - end[3]
         x = side * g.half_gap
         remaining -= until
     return wp.vec4d(q, v, x, rate)
@@ -174,16 +215,20 @@ def through_spring(state: wp.vec4d, drive: Push, load: F, dry: F, h: F, g: Train
             stretch = zero
             gain = zero
     force = g.stiffness * stretch
-    # For mean speeds a, b: (2 Jm/h + D + G) a - G b = 2 Jm/h v + T - F, and
+    # For mean speeds a, b, and with a part C of D that acts on the output's speed:
+    # (2 Jm/h + D - C + G) a - (G - C) b = 2 Jm/h v + T - F, and
     # (2 Jo/h + G) b - G a = 2 Jo/h w + load + F; their solution is a matrix of mobilities.
     motor = wp.float64(2.0) * g.motor / h
     output = wp.float64(2.0) * g.output / h
-    motor_row = motor + drive.damping + half * drive.stiffness + gain
+    on_output = drive.seen_damping + drive.seen * half * drive.stiffness
+    motor_row = motor + drive.damping + half * drive.stiffness - on_output + gain
     output_row = output + gain
-    per = wp.float64(1.0) / (motor_row * output_row - gain * gain)
+    coupling = gain - on_output
+    per = wp.float64(1.0) / (motor_row * output_row - coupling * gain)
     mobility = output_row * per
     output_mobility = motor_row * per
-    cross_mobility = gain * per
+    by_output = coupling * per
+    by_motor = gain * per
     on_motor = motor * v + drive.torque - force
     on_output = output * w + load + force
     dry_motor = zero
@@ -193,8 +238,8 @@ def through_spring(state: wp.vec4d, drive: Push, load: F, dry: F, h: F, g: Train
         dry_output = -wp.sign(w) * g.friction
         on_motor += dry_motor
         on_output += dry_output
-    a = mobility * on_motor + cross_mobility * on_output
-    b = cross_mobility * on_motor + output_mobility * on_output
+    a = mobility * on_motor + by_output * on_output
+    b = by_motor * on_motor + output_mobility * on_output
     after = a + a - v
     output_after = b + b - w
     if (dry > zero and after * v <= zero) or (g.friction > zero and output_after * w <= zero):
@@ -206,12 +251,12 @@ def through_spring(state: wp.vec4d, drive: Push, load: F, dry: F, h: F, g: Train
             change = wp.clamp(to_stop, -dry, dry) - dry_motor
             dry_motor += change
             a += mobility * change
-            b += cross_mobility * change
+            b += by_motor * change
             changed = wp.abs(change) > wp.float64(1e-9) * dry
             to_stop = dry_output - (b - wp.float64(0.5) * w) / output_mobility
             change = wp.clamp(to_stop, -g.friction, g.friction) - dry_output
             dry_output += change
-            a += cross_mobility * change
+            a += by_output * change
             b += output_mobility * change
             changed = changed or wp.abs(change) > wp.float64(1e-9) * g.friction
             changed = changed and dry > zero and g.friction > zero
@@ -266,10 +311,15 @@ def train_of(inertia: F, p: Row, least: F) -> Train:
     g.output_share = g.output / inertia
     g.half_gap = wp.float64(0.5) * p[wp.static(_GAP)]
     g.friction = p[wp.static(_GAP + 2)]
+    g.restitution = p[wp.static(_GAP + 4)]
+    g.seen = wp.max(p[wp.static(_GAP + 3)], p[wp.static(_SPRING + 3)])
     if p[wp.static(_SPRING)] > wp.float64(0.0):
         g.stiffness = wp.float64(1.0) / p[wp.static(_SPRING)]
         reduced = g.motor * g.output_share
-        g.damper = wp.static(wp.float64(2.0 * SPRING_DAMPING)) * wp.sqrt(reduced * g.stiffness)
+        ratio = p[wp.static(_SPRING + 4)]
+        if ratio == wp.float64(0.0):
+            ratio = wp.static(wp.float64(SPRING_DAMPING))
+        g.damper = wp.float64(2.0) * ratio * wp.sqrt(reduced * g.stiffness)
     return g
 
 
@@ -282,13 +332,14 @@ def train_at_rest(state: wp.vec4d, u: F, kp: F, p: Row, z: Row, active: wp.int64
     """
     cell = train_cell(active)
     q = state[0]
+    seen = wp.max(p[wp.static(_GAP + 3)], p[wp.static(_SPRING + 3)])
     for _ in range(8):
         carried = -pendulum_torque(q - z[cell], p[4]) - z[wp.static(LOAD_CELL)]
         z[cell] = p[wp.static(_SPRING)] * carried
         if wp.abs(carried) > p[wp.static(_GAP + 2)]:
             z[cell] += wp.float64(0.5) * p[wp.static(_GAP)] * wp.sign(carried)
-        q = u - carried / kp
-    return wp.vec4d(q, state[1], kp * (u - q), state[3])
+        q = u - carried / kp + seen * z[cell]
+    return wp.vec4d(q, state[1], carried, state[3])
 
 
 @wp.func
@@ -316,7 +367,7 @@ def train_substep(
     active: wp.int64,
     tick: bool,
 ) -> wp.vec4d:
-    """The sub-step of a servo whose gear train is two masses; the controller sees the motor's side.
+    """The sub-step of a servo whose gear train is two masses.
 
     Loads act on the output's side, the friction of the motor's law and of other effects on the
     motor's side.
@@ -331,25 +382,35 @@ def train_substep(
     lead = z[cell]
     rate = z[cell + 1]
     output = q - lead - half * rate
+    seen = q - g.seen * (q - output)  # by the controller
+    seen_speed = speed - g.seen * rate
     weight = pendulum_torque(output, p[4]) + z[wp.static(LOAD_CELL)]
-    error = command_in_force(u, q, speed, state[2], time, h, p, z, others) - q
-    error = error_seen(error, q, speed, state[2], time, h, p, z, others)
+    error = command_in_force(u, seen, seen_speed, state[2], time, h, p, z, others) - seen
+    error = error_seen(error, seen, seen_speed, state[2], time, h, p, z, others)
     load = load_torque(weight, output, v - rate, state[2], time, h, p, z, others)
     push = Push()
     push.torque = kp * error
     push.damping = kd
     push.stiffness = kp
+    push.seen = g.seen
+    push.seen_damping = g.seen * kd
     dry = zero
     if (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0):
         if kp > zero:
-            push = drive_push(kp, kd, error, half, v, speed, tick, m, z)
+            push = drive_push(kp, kd, error, half, v - g.seen * rate, seen_speed, tick, m, z)
+            if push.stiffness > zero:  # else what damps is the motor's back-EMF alone
+                push.seen = g.seen
+                push.seen_damping = g.seen * kd
+                if m.line > zero:
+                    push.seen_damping = g.seen * (kd - m.line)
             weaker = wp.float64(1.0) / resistance(push, speed, m)
             push.torque *= weaker
             push.damping *= weaker
             push.stiffness *= weaker
+            push.seen_damping *= weaker
         dry = gear_friction(speed, push.torque - push.damping * speed, weight, m)
     if kp > zero:
-        torque = push.torque - push.damping * speed
+        torque = push.torque - push.damping * speed + push.seen_damping * rate
         # What effects change is explicit: the drive stays implicit, and stable.
         if (others & wp.static(wp.int64(MOTOR_TORQUE_BITS))) != wp.int64(0):
             push.torque += motor_torque(torque, q, speed, torque, time, h, p, z, others) - torque
@@ -360,9 +421,10 @@ def train_substep(
         dry, q, direction, push.torque - push.damping * speed, time, h, p, z, others
     )
     torque = push.torque
-    push.torque = torque + push.stiffness * half * v  # at the start, not the middle
+    push.torque += push.stiffness * half * (v - push.seen * rate)  # at the start, not the middle
     moved = train_step(wp.vec4d(state[0], v, lead, rate), push, load, dry, h, g)
     z[cell] = moved[2]
     z[cell + 1] = moved[3]
     middle = wp.float64(0.5) * (v + moved[1])
-    return wp.vec4d(moved[0], moved[1], torque - push.damping * middle, (moved[1] - v) / h)
+    torque -= push.damping * middle - push.seen_damping * wp.float64(0.5) * (rate + moved[3])
+    return wp.vec4d(moved[0], moved[1], torque, (moved[1] - v) / h)

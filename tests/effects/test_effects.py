@@ -43,7 +43,10 @@ def simulate(command=STEP, t=T, accuracy=STEPS_PER_RADIAN, **values):
 
 
 def typical(effect):
-    return {parameter.name: parameter.typical for parameter in effect.parameters}
+    values = {parameter.name: parameter.typical for parameter in effect.parameters}
+    if effect.name == "compliance":  # at the stability limit with a controller of the load
+        values["control_on_output"] = 0.0
+    return values
 
 
 def each(*names):
@@ -295,6 +298,16 @@ def test_punch_helps_small_errors_against_friction():
 
 def test_deadband_rests_at_its_edge():
     assert simulate(kd=0.3, deadband={"halfwidth_rad": 0.05})[-1] == pytest.approx(0.35, abs=1e-4)
+
+
+@pytest.mark.parametrize("step_share", [0.0, 1.0])
+def test_a_dead_band_subtracts_or_switches(step_share):
+    """At rest the controller acts on the error that holds the weight, or on what is beyond."""
+    band = {"halfwidth_rad": 0.05, "step_share": step_share}
+    weight = {"gravity_load": {"torque_Nm": 0.3}}
+    held = simulate(np.full(T.size, 1.5), kp=1.5, kd=0.3, deadband=band, **weight)[-1]
+    acting = 1.5 - held - (1 - step_share) * 0.05
+    assert 1.5 * acting == pytest.approx(0.3 * np.sin(held), rel=1e-4)
 
 
 def test_integral_action_removes_the_static_error():

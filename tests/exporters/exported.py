@@ -13,6 +13,10 @@ from sim2real.recording import Load, write_recording
 
 Effects = dict[str, float]
 TYPICAL = {e.name: {p.name: p.typical for p in e.parameters} for e in CATALOGUE}
+for train in ("backlash", "compliance"):  # as targets have them
+    TYPICAL[train]["control_on_output"] = 0.0
+TYPICAL["backlash"]["restitution"] = 0.0
+TYPICAL["deadband"]["step_share"] = TYPICAL["load_friction"]["fading_s_per_rad"] = 0.0
 needs_mujoco = pytest.mark.skipif(find_spec("mujoco") is None, reason="MuJoCo runs exported models")
 
 

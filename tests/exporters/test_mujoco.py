@@ -140,6 +140,22 @@ def test_other_values(model):
     assert apart(model) < WITHIN_RAD
 
 
+def test_a_controller_that_sees_the_output_is_listed():
+    for effect in ("backlash", "compliance"):
+        model = servo(**{effect: TYPICAL[effect] | {"control_on_output": 1.0}})
+        assert f"{effect}.control_on_output" in str(*mujoco(model).left_out)
+        assert effect not in expressed(model.joints["j1"])
+
+
+def test_flanks_that_rebound():
+    play = TYPICAL["backlash"] | {"output_friction_Nm": 0.05}
+    assert 'solreflimit="0.0005 1"' in mujoco(servo(backlash=play)).text
+    elastic = servo(backlash=play | {"restitution": 0.5})
+    ratio = -np.log(0.5) / np.hypot(np.pi, np.log(0.5))
+    assert f'solreflimit="{0.0005 / ratio:.9g} {ratio:.9g}"' in mujoco(elastic).text
+    assert apart(elastic) < WITHIN_RAD
+
+
 def test_every_effect_is_expressed_or_listed_with_a_reason():
     for effect in CATALOGUE:
         export = mujoco(servo(**typical(effect.name)))
@@ -177,7 +193,10 @@ def test_the_file_states_limits_integrator_and_time_step():
     [
         (Model({}), "at least one identified joint"),
         (servo(ghost={"x": 1.0}), "ghost"),
-        (servo(backlash={"width": 1.0}), "j1.backlash: found width, expected one of gap_rad"),
+        (
+            servo(backlash={"width": 1.0}),
+            "j1.backlash: found width, expected one of control_on_output, gap_rad",
+        ),
         (Model({"j1": replace(exported.joint(), law="magic")}), "'magic'.*pd, motor, current_lim"),
     ],
 )

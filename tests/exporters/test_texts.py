@@ -194,6 +194,7 @@ def test_json_has_every_number(robot):
     assert joint["kp_Nm_per_rad"] == 2.2
     assert joint["inertia_kgm2"] == 0.003
     play = {"gap_rad": 0.03, "rotor_inertia_kgm2": 4e-4, "output_friction_Nm": 0.02}
+    play |= {"control_on_output": 0.0, "restitution": 0.0}
     assert joint["effects"] == [{"effect": "backlash", "parameters": play}]
     assert joint["data_sheet"]["max_torque_Nm"] == 1.67
     assert content["joints"]["j2"]["limit_Nm"] is None

@@ -14,23 +14,30 @@ T = 0.02 * np.arange(150)
 COMMAND = 0.4 * np.sign(np.sin(2 * np.pi * 0.7 * T)) * (T > 0.1)
 
 
-def reference(dry, held, compliance=0.0, step=1e-5):
+def reference(
+    dry, held, compliance=0.0, step=1e-5, on_output=0.0, restitution=0.0, ratio=SPRING_DAMPING
+):
     """Angle of the output, with friction on either side: rigid flanks, or a spring."""
     q = o = v = w = 0.0
     out = []
     stiffness = 1 / compliance if compliance else 0.0
-    damper = 2 * SPRING_DAMPING * np.sqrt(stiffness * ROTOR * LOAD / (ROTOR + LOAD))
+    damper = 2 * ratio * np.sqrt(stiffness * ROTOR * LOAD / (ROTOR + LOAD))
     for u in COMMAND:
         out.append(o)
         for _ in range(round(0.02 / step)):
             through = stiffness * (q - o) + damper * (v - w)
-            v += step * (KP * (u - q) - KD * v - through) / ROTOR
+            seen, speed = q + on_output * (o - q), v + on_output * (w - v)
+            v += step * (KP * (u - seen) - KD * speed - through) / ROTOR
             v -= min(max(v, -step * dry / ROTOR), step * dry / ROTOR)
             w += step * through / LOAD
             w -= min(max(w, -step * held / LOAD), step * held / LOAD)
             lead = q - o + step * (v - w)
             if not compliance and abs(lead) >= GAP / 2 and lead * (v - w) > 0:
-                v = w = (ROTOR * v + LOAD * w) / (ROTOR + LOAD)
+                together, rate = (ROTOR * v + LOAD * w) / (ROTOR + LOAD), restitution * (w - v)
+                v, w = (
+                    together + rate * LOAD / (ROTOR + LOAD),
+                    together - rate * ROTOR / (ROTOR + LOAD),
+                )
             q, o = q + step * v, o + step * w
     return np.array(out)
 
@@ -55,6 +62,26 @@ def rms(x):
 def test_friction_acts_on_the_side_that_has_it(dry, held):
     angle = simulated(dry, "backlash", {"gap_rad": GAP, "output_friction_Nm": held})
     assert rms(angle - reference(dry, held)) < 1e-4
+
+
+@pytest.mark.parametrize(("dry", "held"), [(0.03, 0.06), (0.0, 0.03)])
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+@pytest.mark.parametrize("on_output", [0.0, 1.0])
+def test_flanks_rebound_and_the_controller_sees_either_side(dry, held, restitution, on_output):
+    play = {"gap_rad": GAP, "output_friction_Nm": held}
+    play |= {"control_on_output": on_output, "restitution": restitution}
+    angle = simulated(dry, "backlash", play, substep_s=1e-4)
+    expected = reference(dry, held, on_output=on_output, restitution=restitution)
+    assert rms(angle - expected) < 3e-4
+
+
+@pytest.mark.parametrize("dry", [0.0, 0.05])
+def test_a_controller_that_sees_the_end_of_a_spring(dry):
+    spring = {"compliance_rad_per_Nm": 0.02, "sensor_on_output": 1.0}
+    spring |= {"control_on_output": 1.0, "damping_ratio": 0.5}
+    angle = simulated(dry, "compliance", spring)
+    expected = reference(dry, 0.0, compliance=0.02, on_output=1.0, ratio=0.5)
+    assert rms(angle - expected) < 1e-4
 
 
 @pytest.mark.parametrize("dry", [0.0, 0.05])

@@ -1,17 +1,20 @@
-"""Backlash: a gap between the motor, whose angle is controlled, and the output, which is measured.
+"""Backlash: a gap between the motor and the output, which is measured.
 
 Two masses and a dead zone with rigid flanks, dry friction on either side: ``servo.gear_train``,
-after Nordin, Gutman, Automatica 38 (2002) 1633-1649, Sec. 2. ``output_friction_Nm`` acts on the
-output's side, and holds the output in the gap; the friction of other effects acts on the motor's
-side. The angle is measured from the middle of the gap. ``rotor_inertia_kgm2`` is that of rotor and
-gears, reflected to the output; it adds to the stated load and to the rotor of the motor's law.
-Where it is 0, the motor's side is what turns beyond the stated load: the rotor of the motor's law
-and ``unmodelled_inertia``. If that is 0 too, the output has no inertia, and crossing the gap does
-not change the motor's motion.
+after Nordin, Gutman, Automatica 38 (2002) 1633-1649, Sec. 2. ``control_on_output`` is 1 where the
+controller sees the output's angle, as in hobby servos, and 0 where it sees the motor's.
+``restitution`` is the ratio of the relative speeds after and before an impact of the flanks.
+``output_friction_Nm`` acts on the output's side, and holds the output in the gap; the friction of
+other effects acts on the motor's side. The angle is measured from the middle of the gap.
+``rotor_inertia_kgm2`` is that of rotor and gears, reflected to the output; it adds to the stated
+load and to the rotor of the motor's law. Where it is 0, the motor's side is what turns beyond the
+stated load: the rotor of the motor's law and ``unmodelled_inertia``. If that is 0 too, the output
+has no inertia, and crossing the gap does not change the motor's motion.
 
 The terms below are those of an articulated robot, whose joints are one mass each. With r the
 rotor's share of the total inertia J (``p[3]``, load and rotor), T the motor's torque and g the
-weight of the load, the common centre moves as one body, and the motor leads the load by x::
+weight of the load, the common centre moves as one body, and the motor leads the load by x (impacts
+are inelastic here)::
 
     r (1 - r) J x'' = (1 - r) T - r g      while |x| < gap / 2, and when a flank separates
     motor's angle   = q + (1 - r) x        load's angle = q - r x
@@ -54,7 +57,8 @@ def cross(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
     before = z[s]
     one = wp.float64(1.0)
     per = h / (share * p[3])
-    felt = load_share / (one + wp.float64(0.5) * h * p[1] / p[3])  # as the common motion gives way
+    seen = load_share - p[c + 3]  # of the lead, by the controller
+    felt = seen / (one + wp.float64(0.5) * h * p[1] / p[3])  # as the common motion gives way
     push = x - felt * p[0] * (before - z[s + 2])
     if load_share > wp.float64(0.0) and p[4] != wp.float64(0.0):
         push += share * p[4] * sine(q) / load_share
@@ -67,7 +71,7 @@ def cross(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
     z[s] = place
     z[s + 1] = speed
     middle = wp.float64(0.5) * (before + place) - z[s + 2]
-    return x - load_share * (p[0] * middle + p[1] * (place - before) / h)
+    return x - seen * (p[0] * middle + p[1] * (place - before) / h)
 
 
 @wp.func
@@ -100,6 +104,8 @@ EFFECT = Effect(
         Parameter("gap_rad", low=0.0, high=0.3, typical=0.03),
         Parameter("rotor_inertia_kgm2", low=4e-5, high=0.02, typical=4e-4, starts=(1.0,)),
         Parameter("output_friction_Nm", low=0.0, high=1.0, typical=0.02, starts=(0.0, 1.0)),
+        Parameter("control_on_output", low=0.0, high=1.0, typical=1.0, starts=(0.0, 1.0)),
+        Parameter("restitution", low=0.0, high=0.95, typical=0.5, starts=(0.0,)),
     ),
     memory=4,
     order=1,

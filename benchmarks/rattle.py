@@ -1,0 +1,67 @@
+r"""From which peak of a residual's spectrum on does a joint rattle, and how wide is the gap?
+
+    python datasets/foreign/make_foreign.py SET --seed 64 --no-oracle --null 40 \
+        --single 0 --double 0 --outside 0
+    python datasets/foreign/make_foreign.py PLAY --seed 65 --no-oracle --plants hobby --null 0 \
+        --single 24 --double 0 --outside 0 --effects backlash
+    python -m benchmarks.rattle SET PLAY
+
+Fits ``identify`` to every case and prints, of servos in which nothing is missing, the largest
+ratios of a peak that is no motion's (the threshold ``report.rattle_ratio`` lies above), and of
+gears with play and without friction the ratio, and the gap that the rattle means.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.harness import spread
+from sim2real.diagnose.rattle import GAP_SHARE, rattle
+from sim2real.identification.identify import identify
+from sim2real.recording import read_recording
+from sim2real.robot import read_robot
+from sim2real.servo.prediction import predict_recordings
+
+
+def examined(job: tuple[Path, dict[str, Any]]) -> dict[str, Any]:
+    """Each joint's ratio, the gap it means, and the true one."""
+    folder, answer = job
+    case = folder / "inputs" / answer["case"]
+    recordings = [read_recording(case / f"{name}.csv") for name in ("a", "b")]
+    model = identify(recordings, read_robot(case / "robot.toml"))
+    angles = predict_recordings(recordings, model).angles
+    errors = [y - r.position for y, r in zip(angles, recordings, strict=True)]
+    true = {e["component"]: e["parameters"]["gap_rad"] for e in answer["effects"]}
+    rows = []
+    for j, joint in enumerate(recordings[0].joints):
+        found = rattle([r.t for r in recordings], [e[:, j] for e in errors], least=0.0)
+        ratio, gap = (found.ratio, found.sd_rad / GAP_SHARE) if found else (0.0, 0.0)
+        rows.append([ratio, gap, true.get(joint, 0.0)])
+    return {"case": answer["case"], "rows": rows}
+
+
+def main() -> None:
+    """Fit all cases, print both lists."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("sets", nargs="+", type=Path, metavar="SET")
+    parser.add_argument("--processes", type=int, default=2)
+    options = parser.parse_args()
+    jobs = [
+        (folder, answer)
+        for folder in options.sets
+        for answer in json.loads((folder / "answers.json").read_text())
+    ]
+    rows = np.array([r for x in spread(examined, jobs, options.processes) for r in x["rows"]])
+    still, play = rows[rows[:, 2] == 0], rows[rows[:, 2] > 0]
+    print(f"{len(still)} joints without play, largest ratios:", np.sort(still[:, 0])[-6:].round(2))
+    for ratio, gap, true in play[np.argsort(play[:, 2])]:
+        print(f"gap {true:.4f} rad: ratio {ratio:5.1f}, gap by the rattle {gap:.4f} rad")
+
+
+if __name__ == "__main__":
+    main()

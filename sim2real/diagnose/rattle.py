@@ -1,0 +1,102 @@
+"""A rattle: a narrow peak in the spectrum of a residual, above the frequencies of the motion.
+
+An output that is free in its gap bounces between the flanks of its gears, also at rest. The limit
+cycle is chaotic, so no trajectory fit can follow it; what remains is a peak at its frequency or an
+alias of it, with a standard deviation of about 0.035 of the gap (simulations of two masses whose
+flanks bounce, ``datasets/foreign/gear_plant.py``). A vibration from outside has such a peak too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim2real.arrays import Array
+from sim2real.diagnose.decision import DECISION
+from sim2real.servo.trace import Trace
+from sim2real.units import readable
+
+BAND_HZ, LOWEST_HZ = 1.0, 4.0
+"""Width of a band of the spectrum, and where bands begin."""
+GAP_SHARE = 0.035
+"""Standard deviation of a rattle over the gap."""
+_FEWEST_BANDS = 6
+
+
+@dataclass(frozen=True)
+class Rattle:
+    """A rattle of a joint."""
+
+    frequency_Hz: float  # of the peak, or an alias
+    sd_rad: float  # its standard deviation
+    ratio: float  # power in the peak's band over the median band
+
+    def __str__(self) -> str:
+        """The rattle in words, with the gap that would make it."""
+        size, gap = (readable("gap_rad", x) for x in (self.sd_rad, self.sd_rad / GAP_SHARE))
+        return (
+            f"also at rest: a rattle of {size} near {self.frequency_Hz:.0f} Hz or an alias, as of "
+            f"gears with a gap of {gap}, or a vibration from outside"
+        )
+
+
+def rattles(joints: Sequence[Sequence[Trace]], residuals: Array) -> list[Rattle | None]:
+    """The rattle of each of N joints, None without one, from residuals in rad, shape (N, R, T).
+
+    What several joints have at one frequency is a vibration of the bench.
+    """
+    found = [
+        rattle(
+            [t.t for t in traces], [r[: t.t.size] for t, r in zip(traces, of_joint, strict=False)]
+        )
+        for traces, of_joint in zip(joints, residuals, strict=True)
+    ]
+    alone: list[Rattle | None] = []
+    for one in found:
+        same = [x for x in found if one and x and abs(x.frequency_Hz - one.frequency_Hz) <= BAND_HZ]
+        alone.append(one if len(same) == 1 else None)
+    return alone
+
+
+def rattle(
+    times: Sequence[Array],
+    residuals: Sequence[Array],
+    *,
+    least: float = DECISION.report.rattle_ratio,
+) -> Rattle | None:
+    """The peak in the spectra of a joint's residuals in rad at times in s, None without one.
+
+    The peak's band has ``least`` times the power of the median band, and twice that of every band
+    from the lowest to two below it: the residual of a motion that is modelled badly falls with
+    frequency instead.
+    """
+    spectra = [_bands(t, e) for t, e in zip(times, residuals, strict=True)]
+    count = min((s.size for s in spectra), default=0)
+    if count < _FEWEST_BANDS:
+        return None
+    power = np.mean([s[:count] for s in spectra], axis=0)
+    floor, top = float(np.median(power)), int(power.argmax())
+    ratio = float(power[top]) / max(floor, 1e-300)
+    moving = top < 2 or (2 * power[: top - 1] > power[top]).any()
+    if moving or ratio < least:
+        return None
+    around = power[top - 2 : top + 3]
+    sd = float(np.sqrt(np.sum(np.maximum(around - floor, 0.0))))
+    return Rattle(LOWEST_HZ + BAND_HZ * (top + 0.5), sd, ratio)
+
+
+def _bands(t: Array, residual: Array) -> Array:
+    """Power in rad2 in each band, of a residual without gaps."""
+    known = np.isfinite(residual)
+    step = float(np.median(np.diff(t)))
+    grid = np.arange(t[0], t[-1], step)
+    even = np.interp(grid, t[known], residual[known])
+    window = np.hanning(even.size)
+    spectrum = np.abs(np.fft.rfft(window * (even - even.mean()))) ** 2
+    frequency = np.fft.rfftfreq(even.size, step)
+    edges = np.arange(LOWEST_HZ, frequency[-1], BAND_HZ)
+    place = np.digitize(frequency, edges)
+    per = 2 / (even.size * np.sum(window**2))
+    return per * np.array([spectrum[place == k].sum() for k in range(1, edges.size)])
