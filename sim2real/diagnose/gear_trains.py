@@ -15,8 +15,9 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.diagnose.case import UNMODELLED_INERTIA
+from sim2real.diagnose.free_parameters import BRANCHES, CONTROL_SIDE
 from sim2real.diagnose.screening import Candidate, Screen, candidate
-from sim2real.diagnose.servo_search import BRANCHES, CONTROL_SIDE, Job, ServoSearch
+from sim2real.diagnose.servo_search import Job, ServoSearch
 from sim2real.effects import named
 from sim2real.effects.effect import Effect
 from sim2real.identification.servo_problem import Hypothesis, Set, Tried

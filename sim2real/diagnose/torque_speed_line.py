@@ -10,7 +10,8 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
-from sim2real.diagnose.servo_search import BLOCKS, ServoSearch, evidence_of, with_effects
+from sim2real.diagnose.free_parameters import with_effects
+from sim2real.diagnose.servo_search import BLOCKS, ServoSearch, evidence_of
 from sim2real.effects import named
 from sim2real.identification.problem import ServoProblem
 from sim2real.identification.servo_problem import (
