@@ -75,8 +75,8 @@ def through_spring(state: wp.vec4d, drive: Push, load: F, dry: F, h: F, g: Train
     after = a + a - v
     output_after = b + b - w
     if (dry > zero and after * v <= zero) or (g.friction > zero and output_after * w <= zero):
-        sweep = 0
-        changed = True
+        sweep = int(0)
+        changed = bool(True)
         while changed and sweep < _SWEEPS:
             sweep += 1
             to_stop = dry_motor - (a - wp.float64(0.5) * v) / mobility
