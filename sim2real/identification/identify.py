@@ -13,6 +13,8 @@ from sim2real.effects.effect import Effect
 from sim2real.errors import InputError, check_choice, check_positive, check_whole, names_of
 from sim2real.identification import advice
 from sim2real.identification.joint_fit import (
+    SIDE,
+    TRAINS,
     choose_motor,
     fit_effects,
     fit_plain,
@@ -271,6 +273,9 @@ def _joint_model(
         effect, _, parameter = name.rpartition(".")
         if effect and effect != "motor":
             effects.setdefault(effect, {})[parameter] = float(value)
+    for effect, values in effects.items():  # the controller's side was held
+        if side := float(best.row[COLUMNS.index(f"{effect}.{SIDE}")]) if effect in TRAINS else 0.0:
+            values[SIDE] = side
     model = stated(best.row, load, [FittedEffect(*entry) for entry in effects.items()])
     correlation = {} if spread is None else spread.by_pair(best.names)
     fitted = motor is None or any(name.startswith("motor.") for name in best.names)

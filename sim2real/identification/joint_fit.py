@@ -42,6 +42,7 @@ from sim2real.servo.parameters import (
 )
 from sim2real.servo.trace import Trace, sensor_noise, shows_inertia
 
+SIDE, TRAINS = "control_on_output", ("backlash", "compliance")
 EXPLAINED = 1.15
 """Ratio of residual to noise below which no more parameters are added."""
 _LINE = [COLUMNS.index(name) for name in LINE]
@@ -100,14 +101,24 @@ def fit_effects(
     """Fit gains, latency and the parameters of effects to all traces at once.
 
     The loss has several minima where effects act on contact or at a limit, and the plain fit
-    absorbs part of them: hence the many starts.
+    absorbs part of them: hence the many starts. The controller of a gear train sees the motor or
+    the output, whichever fits better, and its flanks do not rebound.
     """
     # on an arm the load is what the rotor is not
-    known = () if traces[0].varying is None else ("rotor_inertia_kgm2",)
+    known = (*(() if traces[0].varying is None else ("rotor_inertia_kgm2",)), SIDE, "restitution")
     added = of_effects(effects, plain.row, plain.inertia, known)
     own = plain_parameters(traces, plain.row)
-    problem = ServoProblem(traces, plain.row, (*own, *added))
-    return fit(problem, drawn(problem, plain, rng, draws=1024), last=160, behind=300.0)
+    rows = [plain.row]
+    sides = [COLUMNS.index(f"{e.name}.{SIDE}") for e in effects if e.name in TRAINS]
+    if sides:
+        rows.append(plain.row.copy())
+        rows[1][sides] = 1.0
+    fits = []
+    for row in rows:
+        problem = ServoProblem(traces, row, (*own, *added))
+        starts = drawn(problem, plain, rng, draws=1024)
+        fits.append(fit(problem, starts, last=160, behind=300.0))
+    return min(fits, key=lambda one: rms([one.error]))
 
 
 def choose_motor(

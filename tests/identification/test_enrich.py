@@ -45,6 +45,12 @@ def test_a_known_effect_is_recovered_with_the_gains(effects):
     assert figures["heldout_without_effects"] > 1.5 * figures["heldout"]
 
 
+def test_a_controller_of_the_output_is_found():
+    play = {"gap_rad": 0.03, "rotor_inertia_kgm2": 5e-4, "output_friction_Nm": 0.03}
+    joint = found(["backlash"], backlash=play | {"control_on_output": 1.0}).joints["j1"]
+    assert joint.effects[0].parameters == pytest.approx(play | {"control_on_output": 1.0}, rel=0.1)
+
+
 def test_an_effect_that_is_not_there_comes_out_as_nothing():
     joint = found(["coulomb_friction"]).joints["j1"]
     assert joint.effects[0].parameters["torque_Nm"] < 0.002
