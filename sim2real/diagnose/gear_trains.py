@@ -63,8 +63,10 @@ def try_gear_trains(problem: ServoSearch, cases: Sequence[Tried]) -> None:
                 theta = h.fit.servos.theta[0].copy()
                 theta[option.columns] = start
                 jobs.append((tried, h.members | {option.effect.name}, theta))
+    before = problem.batch.substeps.copy()
     problem.try_all(jobs)
     problem.try_all(list(_whole_inertias(some)))
+    problem.spent_before += problem.batch.substeps - before  # not of the search's budget
 
 
 def _full_gain(seen: Screen) -> Array:

@@ -83,7 +83,7 @@ class ServoSearch:
         self.fixed: dict[int, Set] = {}
         self.singles = True
         self.unfinished: set[int] = set()
-        self._spent_before = batch.substeps.copy()
+        self.spent_before = batch.substeps.copy()
         self._screens: dict[tuple[int, Set], tuple[Screen, list[Candidate]]] = {}
 
     def try_all(self, jobs: Sequence[Job], *, free: bool = False) -> None:
@@ -255,7 +255,7 @@ class ServoSearch:
 
         The budget is counted in sub-steps of rollouts, so that no answer depends on the machine.
         """
-        spent = self.batch.substeps[tried.case] - self._spent_before[tried.case]
+        spent = self.batch.substeps[tried.case] - self.spent_before[tried.case]
         if spent > self.limits.effort * DECISION.search_substeps:
             self.unfinished.add(tried.case)
         return tried.case in self.unfinished
