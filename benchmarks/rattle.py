@@ -7,7 +7,7 @@ r"""From which peak of a residual's spectrum on does a joint rattle, and how wid
     python -m benchmarks.rattle SET PLAY
 
 Fits ``identify`` to every case and prints, of servos in which nothing is missing, the largest
-ratios of a peak that is no motion's (the threshold ``report.rattle_ratio`` lies above), and of
+ratios of a peak that is no motion's (a check of the chosen ``report.rattle_ratio``), and of
 gears with play and without friction the ratio, and the gap that the rattle means.
 """
 
