@@ -8,9 +8,8 @@ from sim2real.arrays import Array, Integers, Mask
 from sim2real.diagnose.screening import NUISANCES, candidate
 from sim2real.effects import named
 from sim2real.identification.servo_problem import Servos, Set
-from sim2real.servo.parameters import COLUMNS, FIRST_EFFECT_COLUMN
+from sim2real.servo.parameters import COLUMNS, CONTROL_SIDE, FIRST_EFFECT_COLUMN
 
-CONTROL_SIDE = "control_on_output"
 BRANCHES = CONTROL_SIDE, "restitution"
 """Parameters of gear trains whose fits have a branch at 0 and another one."""
 _SIDES, BRANCH_COLUMNS = (

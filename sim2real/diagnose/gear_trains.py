@@ -1,9 +1,9 @@
 """Gear trains of two masses, which a linear look at one start of each effect misses.
 
 Their fits have branches: the controller on either side, dry friction on either side, a light rotor
-or a heavy one. From the set that explains a joint best, without its dry friction and with Coulomb
-friction in its place, many starts are compared at their full strength, and the best of each branch
-are fitted.
+or a heavy one. From the plain servo and from the set that explains a joint best without dry
+friction and gears, both also with Coulomb friction, many starts are compared at their full
+strength, and the best of each branch are fitted.
 """
 
 from __future__ import annotations
@@ -15,15 +15,20 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.diagnose.case import UNMODELLED_INERTIA
-from sim2real.diagnose.free_parameters import BRANCHES, CONTROL_SIDE
-from sim2real.diagnose.screening import Candidate, Screen, candidate
+from sim2real.diagnose.free_parameters import BRANCHES
+from sim2real.diagnose.screening import Candidate, Screen, candidate, may_join
 from sim2real.diagnose.servo_search import Job, ServoSearch
 from sim2real.effects import named
 from sim2real.effects.effect import Effect
 from sim2real.identification.servo_problem import Hypothesis, Set, Tried
-from sim2real.servo.parameters import FIRST_COLUMN, INERTIA_LEFT_OUT, TRAIN_ROTORS
+from sim2real.servo.parameters import (
+    CONTROL_SIDE,
+    FIRST_COLUMN,
+    INERTIA_LEFT_OUT,
+    TRAIN_ROTORS,
+    TRAINS,
+)
 
-TRAINS = ("backlash", "compliance")
 _COULOMB = "coulomb_friction"
 _OUTPUT_FRICTION = "output_friction_Nm"
 _STARTS = {
@@ -50,7 +55,7 @@ def try_gear_trains(problem: ServoSearch, cases: Sequence[Tried]) -> None:
     ]
     places = list(_places(problem, some))
     lists = [
-        [_with_starts(problem, tried, name) for name in TRAINS if _joins(name, h.members)]
+        [_with_starts(problem, tried, name) for name in TRAINS if may_join(named(name), h.members)]
         for tried, h in places
     ]
     places, lists = _kept(places, lists)
@@ -120,7 +125,8 @@ def _places(problem: ServoSearch, some: Sequence[Tried]) -> Iterator[tuple[Tried
     jobs: list[Job] = []
     for tried in some:
         best, friction = tried.best, _friction_Nm(tried.best)
-        for smooth in {tried.base, best.members - _of_gears(best)}:
+        # each once, and in an order that does not depend on the hashes of names
+        for smooth in dict.fromkeys((tried.base, best.members - _of_gears(best))):
             row = best.fit.servos.theta[0].copy()
             jobs.append((tried, smooth, row))
             row = row.copy()
@@ -130,10 +136,6 @@ def _places(problem: ServoSearch, some: Sequence[Tried]) -> Iterator[tuple[Tried
     problem.try_all([job for job in jobs if job[1] not in job[0].tried])
     for tried, members, _ in jobs:
         yield tried, tried.tried[members]
-
-
-def _joins(name: str, members: Set) -> bool:
-    return not any(named(name).excludes(named(other)) for other in members)
 
 
 def _with_starts(problem: ServoSearch, tried: Tried, name: str) -> Candidate:

@@ -188,9 +188,11 @@ def _findings(
         free=True,
     )
     without = unmodelled(batch, data, joined([tried.plain.fit for tried in cases]))
-    rattling = rattles(data, residual_angles(batch, joined([h.fit for h in best])))
-    rattling = [None if "backlash" in h.members else x for x, h in zip(rattling, best, strict=True)]
-    _, excesses = beyond_noise(batch, data, joined([h.fit for h in best]))
+    left, excesses = beyond_noise(batch, data, joined([h.fit for h in best]))
+    rattling = [
+        None if "backlash" in h.members else one
+        for one, h in zip(rattles(data, left), best, strict=True)
+    ]
     return [
         Finding(
             tried=tried,

@@ -204,8 +204,8 @@ class JointFindings:
 def law_error(servo: Hypothesis, effect: str) -> float:
     """Relative error of an effect's law, which adds to the standard deviations of its parameters.
 
-    Where friction holds the motor and not the output, the output rattles in the gap; its rebound
-    from the flanks is no part of the law of backlash.
+    Where friction holds the motor and not the output, the output rattles in the gap, and
+    the fit has many minima.
     """
     frictions = {e.name for e in CATALOGUE if e.family == _FRICTION}
     rattles = servo.fit.servos.theta[0, _OUTPUT_FRICTION] < NEGLIGIBLE_NM

@@ -61,12 +61,13 @@ def candidate(effect: Effect, kp: float, inertia: float, *, apart: float = 1.5) 
 
 def candidates(effects: Iterable[str], kp: float, inertia: float) -> list[Candidate]:
     """Every effect that may join these, none that ``excludes`` one of them."""
-    present = [named(name) for name in effects]
-    return [
-        candidate(effect, kp, inertia)
-        for effect in FITTED
-        if not any(effect.excludes(other) for other in present)
-    ]
+    present = list(effects)
+    return [candidate(effect, kp, inertia) for effect in FITTED if may_join(effect, present)]
+
+
+def may_join(effect: Effect, others: Iterable[str]) -> bool:
+    """Whether an effect may be present with others, none of which ``excludes`` it."""
+    return not any(effect.excludes(named(other)) for other in others)
 
 
 @dataclass(frozen=True)

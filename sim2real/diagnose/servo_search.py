@@ -11,7 +11,6 @@ from sim2real.arrays import Array, Index, Mask
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.free_parameters import (
     BRANCH_COLUMNS,
-    CONTROL_SIDE,
     as_read,
     own_parameters,
     with_effects,
@@ -36,7 +35,9 @@ from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import (
     BASE,
     COLUMNS,
+    CONTROL_SIDE,
     FIRST_COLUMN,
+    TRAINS,
     joint_row,
 )
 
@@ -45,10 +46,7 @@ Job = tuple[Tried, Set, Array]
 
 _GAIN = "sensor_gain"
 _GAP = FIRST_COLUMN["backlash"]
-_TRAINS = {
-    name: (FIRST_COLUMN[name], 1e-3 * named(name).parameters[0].typical)
-    for name in ("backlash", "compliance")
-}
+_TRAINS = {name: (FIRST_COLUMN[name], 1e-3 * named(name).parameters[0].typical) for name in TRAINS}
 """Columns of the sizes of gear trains, and sizes from which on they are there."""
 BLOCKS = 20
 """Blocks of each recording for bootstraps."""

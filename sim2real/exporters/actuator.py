@@ -9,6 +9,7 @@ from sim2real.effects import named
 from sim2real.errors import InputError
 from sim2real.model import LAWS, JointModel, Model
 from sim2real.robot import Joint, Robot
+from sim2real.servo.parameters import TRAINS
 
 SATURATION = "torque_saturation"
 BEYOND_LIMIT = f"{SATURATION}.free_damping"
@@ -212,7 +213,7 @@ def _actuator(name: str, joint: JointModel, sheet: Joint | None) -> Actuator:
             raise InputError("model", f"joints.{name}.{fitted.effect}", unknown, expected)
         if any(fitted.parameters.values()):
             effects[fitted.effect] = dict(fitted.parameters)
-    trains = [e for e in ("backlash", "compliance") if effects.get(e, {}).get(_ROTOR)]
+    trains = [e for e in TRAINS if effects.get(e, {}).get(_ROTOR)]
     for key, effect, parameter in MOTOR_TERMS:
         if key in motor:
             if key == _ROTOR and trains:  # both are inertia of the rotor

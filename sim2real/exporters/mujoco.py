@@ -30,7 +30,7 @@ from sim2real.model import JointModel, Model
 from sim2real.recording import GRAVITY_M_S2
 from sim2real.robot import Robot
 from sim2real.servo.gear_train import SPRING_DAMPING
-from sim2real.servo.parameters import SOFT
+from sim2real.servo.parameters import CONTROL_SIDE, SOFT, TRAINS
 
 TIMESTEP_S = 0.00025
 INTEGRATOR = "implicitfast"
@@ -41,7 +41,6 @@ STEP = (
 CONTACT_S, CONTACT_IMPEDANCE = 2 * TIMESTEP_S, "0.999 0.9999 0.0001"
 """The flanks of a gear train with play, as rigid as the time step allows."""
 LEAST_RESTITUTION = 1e-3
-SEEN = "control_on_output"
 
 PID = {"integral_action", "rate_limit"}
 """Effects whose drive is a ``pid``."""
@@ -85,7 +84,7 @@ def expressed(joint: JointModel) -> set[str]:
     """Effects of a joint that an MJCF file expresses; a ``pid`` cannot filter its commands."""
     has = {*HAS, *limit_effects(joint), *SOFT}
     names = {fitted.effect for fitted in joint.effects}
-    has -= {fitted.effect for fitted in joint.effects if fitted.parameters.get(SEEN)}
+    has -= {fitted.effect for fitted in joint.effects if fitted.parameters.get(CONTROL_SIDE)}
     if SATURATION in names and _two_limits(actuators(Model({"joint": joint}))[0]):
         has |= {SATURATION, BEYOND_LIMIT}
     return has - {"command_filter"} if names & PID else has
@@ -119,10 +118,10 @@ def mujoco(
         both = {SATURATION} if _two_limits(servo) else set()
         lines += left_out(servo, "MuJoCo", (*HAS, *SOFT, *both), LACKS)
         for effect, values in servo.effects.items():
-            if values.get(SEEN):
+            if values.get(CONTROL_SIDE):
                 why = "an actuator feeds back the angle that it moves, here the motor's"
-                lines.append(LeftOut(servo.joint, f"{effect}.{SEEN}", why))
-        if servo.effects.keys() >= {"backlash", "compliance"}:
+                lines.append(LeftOut(servo.joint, f"{effect}.{CONTROL_SIDE}", why))
+        if servo.effects.keys() >= set(TRAINS):
             why = "the stops of a joint with play are rigid"
             lines.append(LeftOut(servo.joint, "compliance with backlash", why))
     root.extend(part for part in parts.values() if len(part))
@@ -334,7 +333,7 @@ def _passive(servo: Actuator, section: Element) -> list[LeftOut]:
 
 def _sensor(servo: Actuator, section: Element) -> None:
     name = f"{servo.joint}_position"
-    if servo.effects.keys() & {"backlash", "compliance", "sensor_gain"}:
+    if servo.effects.keys() & {*TRAINS, "sensor_gain"}:
         SubElement(section, "tendonpos", name=name, tendon=f"{servo.joint}_seen")
     else:
         SubElement(section, "jointpos", name=name, joint=servo.joint)

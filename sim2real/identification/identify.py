@@ -13,8 +13,6 @@ from sim2real.effects.effect import Effect
 from sim2real.errors import InputError, check_choice, check_positive, check_whole, names_of
 from sim2real.identification import advice
 from sim2real.identification.joint_fit import (
-    SIDE,
-    TRAINS,
     choose_motor,
     fit_effects,
     fit_plain,
@@ -37,7 +35,7 @@ from sim2real.output import provenance
 from sim2real.plausible import admitted
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo, match_recordings
-from sim2real.servo.parameters import BASE, COLUMNS, LOOP, motor_of, stated
+from sim2real.servo.parameters import BASE, COLUMNS, CONTROL_SIDE, LOOP, TRAINS, motor_of, stated
 from sim2real.servo.trace import (
     Trace,
     at_one_gain,
@@ -274,8 +272,8 @@ def _joint_model(
         if effect and effect != "motor":
             effects.setdefault(effect, {})[parameter] = float(value)
     for effect, values in effects.items():  # the controller's side was held
-        if side := float(best.row[COLUMNS.index(f"{effect}.{SIDE}")]) if effect in TRAINS else 0.0:
-            values[SIDE] = side
+        if effect in TRAINS and (side := best.row[COLUMNS.index(f"{effect}.{CONTROL_SIDE}")]):
+            values[CONTROL_SIDE] = float(side)
     model = stated(best.row, load, [FittedEffect(*entry) for entry in effects.items()])
     correlation = {} if spread is None else spread.by_pair(best.names)
     fitted = motor is None or any(name.startswith("motor.") for name in best.names)

@@ -32,6 +32,7 @@ from sim2real.servo.linearised import fastest_visible_rad_s, ringing_rad_s
 from sim2real.servo.parameters import (
     BASE,
     COLUMNS,
+    CONTROL_SIDE,
     CURRENT_LIMIT,
     INERTIA_LEFT_OUT,
     LINE,
@@ -39,10 +40,10 @@ from sim2real.servo.parameters import (
     LOSSES,
     ROTOR,
     SOFT,
+    TRAINS,
 )
 from sim2real.servo.trace import Trace, sensor_noise, shows_inertia
 
-SIDE, TRAINS = "control_on_output", ("backlash", "compliance")
 EXPLAINED = 1.15
 """Ratio of residual to noise below which no more parameters are added."""
 _LINE = [COLUMNS.index(name) for name in LINE]
@@ -105,11 +106,12 @@ def fit_effects(
     the output, whichever fits better, and its flanks do not rebound.
     """
     # on an arm the load is what the rotor is not
-    known = (*(() if traces[0].varying is None else ("rotor_inertia_kgm2",)), SIDE, "restitution")
+    load = () if traces[0].varying is None else ("rotor_inertia_kgm2",)
+    known = (*load, CONTROL_SIDE, "restitution")
     added = of_effects(effects, plain.row, plain.inertia, known)
     own = plain_parameters(traces, plain.row)
     rows = [plain.row]
-    sides = [COLUMNS.index(f"{e.name}.{SIDE}") for e in effects if e.name in TRAINS]
+    sides = [COLUMNS.index(f"{e.name}.{CONTROL_SIDE}") for e in effects if e.name in TRAINS]
     if sides:
         rows.append(plain.row.copy())
         rows[1][sides] = 1.0

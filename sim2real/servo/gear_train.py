@@ -5,11 +5,12 @@ With x the angle by which the motor leads the output and F the torque through th
     Jm vm' = torque - F - friction of the motor's side
     Jo vo' = load   + F - friction of the output's side
 
-Backlash is a rigid contact beyond a dead zone: F = 0 while |x| < gap / 2, and impacts are inelastic
-(Nordin, Gutman, Automatica 38 (2002) 1633-1649, Sec. 2). Compliance is a spring with a damper,
-F = x / c + d x' (Spong, Journal of Dynamic Systems 109 (1987) 310-318), with a damping ratio of
-``SPRING_DAMPING``. With both, the spring acts beyond the dead zone. Without either the two move as
-one mass. The controller acts on the motor's angle; the sensor is on either side.
+Backlash is a rigid contact beyond a dead zone: F = 0 while |x| < gap / 2 (Nordin, Gutman,
+Automatica 38 (2002) 1633-1649, Sec. 2). An impact reverses the rate of x, times a coefficient of
+restitution. Compliance is a spring with a damper, F = x / c + d x' (Spong, Journal of Dynamic
+Systems 109 (1987) 310-318), with a damping ratio of ``SPRING_DAMPING`` unless one is stated. With
+both, the spring acts beyond the dead zone. Without either the two move as one mass. Controller and
+sensor are on either side.
 
 Jm is the inertia of the rotor, reflected through the gears: that of the motor's law, and what the
 effect states in addition. Jo is the stated load, corrected by ``unmodelled_inertia``. Where the
@@ -17,8 +18,8 @@ effect states no rotor, Jm is all that turns beyond the stated load, ``unmodelle
 included; if that is 0 with a gap, the output has no inertia.
 
 A sub-step in which a flank is met is divided at the contact, so that contacts are of second order
-like the rest of the law. An output without friction comes to rest on a flank here; real flanks are
-elastic, and without any friction the output rebounds between them.
+like the rest of the law. A rebound that would end within half of what is left of the sub-step is
+left out. With a restitution of 0 an output without friction comes to rest on a flank.
 """
 
 import warp as wp
@@ -50,6 +51,7 @@ from sim2real.servo.parameters import (
     INERTIA_LEFT_OUT,
     LOAD_CELL,
     ROTOR_INERTIA,
+    TRAINS,
 )
 from sim2real.servo.spring_train import Train, through_spring
 
@@ -57,9 +59,7 @@ SPRING_DAMPING = 0.05
 """Damping ratio of the two masses on the spring."""
 _GAP, _SPRING = FIRST_COLUMN["backlash"], FIRST_COLUMN["compliance"]
 _GAP_CELL, _SPRING_CELL = FIRST_CELL["backlash"], FIRST_CELL["compliance"]
-_GAP_BIT, _SPRING_BIT = (
-    1 << [effect.name for effect in CATALOGUE].index(name) for name in ("backlash", "compliance")
-)
+_GAP_BIT, _SPRING_BIT = (1 << [effect.name for effect in CATALOGUE].index(name) for name in TRAINS)
 TRAIN_BITS = _GAP_BIT | _SPRING_BIT
 """Bits of the effects that make two masses of the gear train."""
 _PHASES = wp.constant(6)
@@ -199,6 +199,12 @@ def train_cell(active: wp.int64) -> int:
 
 
 @wp.func
+def controlled_side(p: Row) -> F:
+    """1 where the controller sees the output, 0 where it sees the motor."""
+    return wp.max(p[wp.static(_GAP + 3)], p[wp.static(_SPRING + 3)])
+
+
+@wp.func
 def train_of(inertia: F, p: Row, least: F) -> Train:
     """The gear train of a row, of so much inertia, a share of at least ``least`` on either side."""
     g = Train()
@@ -216,7 +222,7 @@ def train_of(inertia: F, p: Row, least: F) -> Train:
     g.half_gap = wp.float64(0.5) * p[wp.static(_GAP)]
     g.friction = p[wp.static(_GAP + 2)]
     g.restitution = p[wp.static(_GAP + 4)]
-    g.seen = wp.max(p[wp.static(_GAP + 3)], p[wp.static(_SPRING + 3)])
+    g.seen = controlled_side(p)
     if p[wp.static(_SPRING)] > wp.float64(0.0):
         g.stiffness = wp.float64(1.0) / p[wp.static(_SPRING)]
         reduced = g.motor * g.output_share
@@ -229,14 +235,14 @@ def train_of(inertia: F, p: Row, least: F) -> Train:
 
 @wp.func
 def train_at_rest(state: wp.vec4d, u: F, kp: F, p: Row, z: Row, active: wp.int64) -> wp.vec4d:
-    """State of a train whose motor holds the first set-point.
+    """State of a train whose controller holds the first set-point.
 
     The load rests on one flank, or where friction of the output holds it in the middle of the gap:
     it may then be anywhere.
     """
     cell = train_cell(active)
     q = state[0]
-    seen = wp.max(p[wp.static(_GAP + 3)], p[wp.static(_SPRING + 3)])
+    seen = controlled_side(p)
     for _ in range(8):
         carried = -pendulum_torque(q - z[cell], p[4]) - z[wp.static(LOAD_CELL)]
         z[cell] = p[wp.static(_SPRING)] * carried

@@ -67,9 +67,11 @@ INERTIA_LEFT_OUT = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
 """Column of the inertia in addition to that of the stated load."""
 ROTOR_INERTIA = COLUMNS.index(ROTOR)
 """Column of the inertia of rotor and gears."""
-TRAIN_ROTORS = tuple(
-    COLUMNS.index(f"{effect}.rotor_inertia_kgm2") for effect in ("backlash", "compliance")
-)
+TRAINS = ("backlash", "compliance")
+"""Effects that make two masses of a gear train."""
+CONTROL_SIDE = "control_on_output"
+"""Their parameter that is 1 where the controller sees the output, 0 where it sees the motor."""
+TRAIN_ROTORS = tuple(COLUMNS.index(f"{effect}.rotor_inertia_kgm2") for effect in TRAINS)
 """Columns of the same where it moves by itself; the first that is not 0 counts."""
 
 
