@@ -25,6 +25,7 @@ import numpy as np
 from sim.inference.diagnose_swims import diagnosis_of, likely_model
 from sim.inference.in_water import (
     by_twin_in_water,
+    differs,
     read_water_swims,
     robot_in_water,
     with_fluid_effects,
@@ -92,7 +93,7 @@ def answer(target: Path, *, case: str, water_folder: str | None, again_folder: s
     if not again:
         write_model(diagnosis.baseline, target / "baseline.json")
         there = with_fluid_effects(model, likely_model(found, known, referred=referred))
-        if values(there):
+        if differs(model, there):
             write_model(there, target / RESIMULATED)
     offered = diagnosis.model if values(diagnosis.model) else read_model(target / "baseline.json")
     write_model(offered, target / "enriched.json")

@@ -1,6 +1,9 @@
-"""Time windows in which a residual exceeds the noise, by a hidden Markov model."""
+"""Time windows in which a residual exceeds the noise, and parts of a motion in which it is."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +17,40 @@ LARGER = 5.0
 EDGE_COST = 12.0
 """Penalty of the log-likelihood for each edge of a window."""
 SHORTEST_S = 0.1
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a motion, and its shares of squared residuals and of time."""
+
+    words: str  # "at speeds above 0.2 m/s"
+    mask: Mask  # its samples, shape (T,)
+    advice: str  # what to record to learn more
+    share: float = 0.0  # of the squared residuals
+    time: float = 0.0  # of the samples
+
+    def __str__(self) -> str:
+        """The part with its shares."""
+        return (
+            f"{100 * self.share:.0f} % of it {self.words}, in {100 * self.time:.0f} % of the time"
+        )
+
+
+def most_uneven(square: Array, parts: Iterable[Part], *, least: float = 0.1) -> Part | None:
+    """The part whose share of squared residuals (T,) is furthest above its share of time.
+
+    Shares are compared by their relative entropy (Kullback and Leibler, Ann. Math. Stat. 22 (1951)
+    79), of ``least`` or more: that of 72 % of the squared residuals in half of the time.
+    """
+    found: dict[float, Part] = {}
+    total = max(float(square.sum()), 1e-30)
+    for part in parts:
+        p, q = float(square[part.mask].sum()) / total, float(part.mask.mean())
+        if p > q > 0:
+            rest = (1 - p) * np.log((1 - p) / (1 - q)) if p < 1 else 0.0
+            found[p * np.log(p / q) + rest] = replace(part, share=p, time=q)
+    most = max(found, default=0.0)
+    return found[most] if most >= least else None
 
 
 def robust_sd(residual: Array, inside: Mask) -> float:
