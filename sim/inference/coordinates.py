@@ -151,7 +151,14 @@ def candidates(robot: Robot) -> dict[Name, list[Parameter]]:
         for material in _materials(robot) if effect.by_material else [None]:
             free = effect_parameters(effect.name, material)
             out[effect.name, material or component] = free
+    area, place = out["appendage_drag", "body"]
+    out["appendage_drag", "body"] = [replace(area, high=_largest_area(robot)), place]
     return out
+
+
+def _largest_area(robot: Robot) -> float:
+    """Twice the robot's largest cross-section, m2: more drag area is left out of no file."""
+    return max(2 * np.pi / 4 * link.width_m * link.height_m for link in robot.links)
 
 
 def _materials(robot: Robot) -> list[str]:

@@ -15,13 +15,13 @@ from sim.inference.signal_error import SLOW
 from sim.inference.swim_problem import SwimProblem
 from sim.inference.swims import Swim
 from sim.robot.swimmer import CONTROL_S
-from sim2real.arrays import Array
-from sim2real.inference.segments import Part, Window, most_uneven, windows
+from sim2real.arrays import Array, Mask
+from sim2real.inference.segments import Window, most_uneven, robust_sd, windows
 from sim2real.units import three_digits
 
 
 def residuals(problem: SwimProblem, rows: Array) -> list[Array]:
-    """Residuals of a fit to each swim, in standard deviations, (T, 3 + J), from its rows (n,)."""
+    """Residuals of each swim in standard deviations, (T, 3 + J), from rows (n,) of a fit."""
     pairs = zip(problem.blocks, problem.of_swims(rows), strict=True)
     return [blocks.in_time(part) for blocks, part in pairs]
 
@@ -38,18 +38,17 @@ def located(swims: Sequence[Swim], square: Array, *, least: float = 0.05) -> tup
 
 
 def windows_of(swims: Sequence[Swim], residual: Sequence[Array]) -> dict[str, tuple[Window, ...]]:
-    """Times of large residuals (T,) by swim: those that are in no segment are of unit variance."""
+    """Times of large residuals (T,) of each swim, beyond their usual size and beyond noise."""
     pairs = zip(swims, residual, strict=True)
-    return {swim.name: windows(swim.t, one, max(1.0, _middle(one))) for swim, one in pairs}
+    sizes = [max(1.0, robust_sd(one, np.zeros(one.size, dtype=bool))) for one in residual]
+    return {s.name: windows(s.t, one, sd) for (s, one), sd in zip(pairs, sizes, strict=True)}
 
 
-def _middle(residual: Array) -> float:
-    """Standard deviation by the median of squares: a tenth of samples does not change it."""
-    return float(np.sqrt(np.median(residual**2)) / 0.6745)
+def _parts(swims: Sequence[Swim], *, rest_share: float = 0.05) -> Iterator[tuple[str, Mask, str]]:
+    """Parts of the motion: words, samples, what to record.
 
-
-def _parts(swims: Sequence[Swim], *, rest_share: float = 0.05) -> Iterator[Part]:
-    """Parts of the motion; a joint rests below a share of the rate of its fastest 1 %."""
+    A joint rests below ``rest_share`` of the rate of its fastest 1 %.
+    """
 
     def of_all(signal: int) -> tuple[Array, Array]:
         """Swing and slow part of a signal in all swims."""
@@ -58,25 +57,24 @@ def _parts(swims: Sequence[Swim], *, rest_share: float = 0.05) -> Iterator[Part]
         return np.concatenate(whole) - np.concatenate(slow), np.concatenate(slow)
 
     t = np.concatenate([swim.t for swim in swims])
-    yield Part("in the first 2 s", t < 2.0, "Record the start from rest several times")
+    yield "in the first 2 s", t < 2.0, "Record the start from rest several times"
     joint = swims[0].signals.shape[1] - 3
     swing, _ = of_all(-1)
     rate = np.concatenate([np.gradient(np.nan_to_num(s.signals[:, -1]), CONTROL_S) for s in swims])
     rest = rest_share * float(np.quantile(np.abs(rate), 0.99))
     moves = np.abs(rate) > rest
-    yield Part("while the last joint rests", ~moves, "Record pauses and glides between strokes")
+    yield "while the last joint rests", ~moves, "Record pauses and glides between strokes"
     # phase of the stroke: angle and rate in units of their root mean squares
-    late = np.abs(rate) / max(float(np.sqrt(np.mean(rate[moves] ** 2))), 1e-9)
-    far = np.abs(swing) / max(float(np.sqrt(np.mean(swing[moves] ** 2))), 1e-9)
+    far, fast = (np.abs(x) / max(float(np.sum(x[moves] ** 2)) ** 0.5, 1e-9) for x in (swing, rate))
     advice = "Record strokes of several amplitudes at one beat"
-    yield Part(f"at the ends of the stroke of joint {joint}", moves & (far > late), advice)
-    yield Part(f"in the middle of the stroke of joint {joint}", moves & (far <= late), advice)
+    yield f"at the ends of the stroke of joint {joint}", moves & (far > fast), advice
+    yield f"in the middle of the stroke of joint {joint}", moves & (far <= fast), advice
     mirrored = "Record the same swim mirrored"
-    yield Part(f"while joint {joint} turns to positive angles", rate > rest, mirrored)
-    yield Part(f"while joint {joint} turns to negative angles", rate < -rest, mirrored)
+    yield f"while joint {joint} turns to positive angles", rate > rest, mirrored
+    yield f"while joint {joint} turns to negative angles", rate < -rest, mirrored
     (_, surge), (_, turning) = of_all(0), of_all(2)
-    yield Part("in turns to the left", turning > np.quantile(np.abs(turning), 0.5), mirrored)
-    yield Part("in turns to the right", turning < -np.quantile(np.abs(turning), 0.5), mirrored)
+    yield "in turns to the left", turning > np.quantile(np.abs(turning), 0.5), mirrored
+    yield "in turns to the right", turning < -np.quantile(np.abs(turning), 0.5), mirrored
     states = (
         ("speeds", "m/s", surge, "Record steady swims at several speeds"),
         ("rates of turning", "rad/s", np.abs(turning), "Record circles of several radii"),
@@ -86,8 +84,8 @@ def _parts(swims: Sequence[Swim], *, rest_share: float = 0.05) -> Iterator[Part]
     for name, unit, state, advice in states:
         for level in np.quantile(state, (0.25, 0.5, 0.75, 0.9)).tolist():
             edge = f"{three_digits(level)} {unit}"
-            yield Part(f"at {name} above {edge}", state > level, advice)
-            yield Part(f"at {name} below {edge}", state <= level, advice)
+            yield f"at {name} above {edge}", state > level, advice
+            yield f"at {name} below {edge}", state <= level, advice
 
 
 def _away(swims: Sequence[Swim]) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +20,13 @@ SHORTEST_S = 0.1
 
 
 @dataclass(frozen=True)
-class Part:
+class MotionPart:
     """A part of a motion, and its shares of squared residuals and of time."""
 
     words: str  # "at speeds above 0.2 m/s"
-    mask: Mask  # its samples, shape (T,)
     advice: str  # what to record to learn more
-    share: float = 0.0  # of the squared residuals
-    time: float = 0.0  # of the samples
+    share: float  # of the squared residuals
+    time: float  # of the samples
 
     def __str__(self) -> str:
         """The part with its shares."""
@@ -36,19 +35,22 @@ class Part:
         )
 
 
-def most_uneven(square: Array, parts: Iterable[Part], *, least: float = 0.1) -> Part | None:
+def most_uneven(
+    square: Array, parts: Iterable[tuple[str, Mask, str]], *, least: float = 0.1
+) -> MotionPart | None:
     """The part whose share of squared residuals (T,) is furthest above its share of time.
 
+    Parts are given by their words, samples and advice; None if none is ``least`` above it.
     Shares are compared by their relative entropy (Kullback and Leibler, Ann. Math. Stat. 22 (1951)
-    79), of ``least`` or more: that of 72 % of the squared residuals in half of the time.
+    79); 0.1 is that of 72 % of the squared residuals in half of the time.
     """
-    found: dict[float, Part] = {}
+    found: dict[float, MotionPart] = {}
     total = max(float(square.sum()), 1e-30)
-    for part in parts:
-        p, q = float(square[part.mask].sum()) / total, float(part.mask.mean())
+    for words, mask, advice in parts:
+        p, q = float(square[mask].sum()) / total, float(mask.mean())
         if p > q > 0:
             rest = (1 - p) * np.log((1 - p) / (1 - q)) if p < 1 else 0.0
-            found[p * np.log(p / q) + rest] = replace(part, share=p, time=q)
+            found[p * np.log(p / q) + rest] = MotionPart(words, advice, p, q)
     most = max(found, default=0.0)
     return found[most] if most >= least else None
 
