@@ -51,6 +51,8 @@ _SAMPLES = 400
 _REPEATED = 0.005
 _OUT_OF_PLANE = 3.0
 """Least misfit of surge or sway at the beat frequency that suggests motion out of the plane."""
+_LARGE = 1.5
+"""Share of the residual, relative to that of an average signal, that shows the mismatch."""
 _IMPROVED = 0.8
 """Ratio of errors after and before, below which a signal shows the mismatch."""
 
@@ -177,7 +179,7 @@ def diagnosis_of(
 def _mismatch(
     result: Searched, names: Sequence[str], before: Array, after: Array
 ) -> tuple[tuple[Mismatch, ...], str]:
-    """Signals with more than an average share of the residual, or that effects improve.
+    """Signals with a large share of the residual, or that effects improve.
 
     The one with the most first, and what to record about that. Shares are of the end of the swims,
     by the fit to their beginning; the rest is of the fit to all.
@@ -188,11 +190,12 @@ def _mismatch(
     ends = [one[round((1 - HELD_OUT) * len(one)) :] for one in residuals(problem, unseen)]
     share = np.sum(np.concatenate(ends) ** 2, axis=0)
     share /= max(float(share.sum()), 1e-30)
+    least = min(_LARGE / share.size, float(share.max()))
     residual = residuals(problem, result.plain.fit.rows)
     square = np.concatenate(residual) ** 2
     out, told = [], []
     for k in np.argsort(-share).tolist():
-        if share[k] > 1 / share.size or after[k] < _IMPROVED * before[k]:
+        if share[k] >= least or after[k] < _IMPROVED * before[k]:
             where, advice = located(swims, square[:, k])
             where = f"{100 * share[k]:.0f} % of the residual of all signals, {where}"
             windows_s = windows_of(swims, [one[:, k] for one in residual])

@@ -115,8 +115,9 @@ def swims_section(
         for name, x in plain.items()
     ]
     blocks.append(Table(("signal", "before", "with what is named", ""), errors, _ERRORS))
+    names = dict(zip(names_in_files(robot), units_of(robot), strict=True))
     where = [
-        (entry.signal, f"{100 * entry.share:.0f} %", entry.where.partition(", ")[2])
+        (names[entry.signal], f"{100 * entry.share:.0f} %", entry.where.partition(", ")[2])
         for entry in diagnosis.mismatch
     ]
     if where:
