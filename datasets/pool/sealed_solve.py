@@ -34,7 +34,6 @@ from sim.inference.law_error import FILE, IN_WATER, LawError, learned, read_law_
 from sim.inference.searched import raw, searched
 from sim.inference.swim_problem import SwimPrior
 from sim.inference.swims import swim_of
-from sim2real.body import values
 from sim2real.commands.command import add_executor, where_jobs_run
 from sim2real.diagnose.result import write_diagnosis
 from sim2real.executor import Job, JobOutcome, run_jobs
@@ -95,7 +94,8 @@ def answer(target: Path, *, case: str, water_folder: str | None, again_folder: s
         there = with_fluid_effects(model, likely_model(found, known, referred=referred))
         if differs(model, there):
             write_model(there, target / RESIMULATED)
-    offered = diagnosis.model if values(diagnosis.model) else read_model(target / "baseline.json")
+    without = diagnosis.model == diagnosis.baseline
+    offered = read_model(target / "baseline.json") if without else diagnosis.model
     write_model(offered, target / "enriched.json")
     for k, members in enumerate(found.held):
         fit = next(one.fit for one in found.found if one.members == members)
