@@ -14,7 +14,7 @@ keep their values and reasons.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -33,10 +33,10 @@ Numbers = dict[str, float]
 
 LEVELS = {
     "alike": (1.0, 2.5, 4.0, 6.0), "alike_imitated": (2.5, 5.0, 8.0, 12.0, 20.0),
-    "flagged from": (0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
 }  # fmt: skip
-"""Values of the thresholds that are tried: evidence within which other effects do as well, and the
-probability of any effect from which a swim is flagged."""
+"""Values of the thresholds that are tried: evidence within which other effects do as well."""
+FLAGGED, QUIET = "flagged from", 0.9
+"""Probability of any effect from which a swim is flagged; share of nulls that must not be."""
 _WIDE = 0.1
 """Cost of each further name in the first group of a single effect."""
 DETECTABLE = 10.0
@@ -122,15 +122,12 @@ def matches(group: Any, hidden: list[tuple[str, str]]) -> bool:  # noqa: ANN401
 
 
 def worth(found: dict[str, float]) -> float:
-    """Value of the measures, with the largest cost for false names.
-
-    Up to 15 % of nulls may be flagged at no cost: a flag names no effect.
-    """
+    """Value of the measures, with the largest cost for false names."""
     over = lambda name, bar: max(0.0, found[name] - bar)  # noqa: E731
     return (
         found["detection"] + found["group_first"] + 0.8 * found["both"] + found["abstains"]
         - 6 * over("false_alarm", 0.0) - 4 * over("wrong", 0.015) - 3 * over("ece", 0.05)
-        - max(0.0, found["flagged_null"] - 0.15) - _WIDE * found["further"]
+        - _WIDE * found["further"]
     )  # fmt: skip
 
 
@@ -190,13 +187,11 @@ def choose(
     parts = [[c for c in cases if c[0]["robot"] != out] for out in robots]
     tune = partial(tuned, begun=content["decisions"], go_on=go_on)
     *found, best = spread(tune, [*parts, cases], at_once, unit="choice")
+    left_out = dict(zip(robots, found, strict=True))
+    if not go_on:
+        best[FLAGGED] = flagged_from(cases, left_out)
     best |= offering([c for c in cases if c[0]["held_out"]], best, go_on=go_on)
-    apart = [
-        (t, decide(f, numbers))
-        for numbers, out in zip(found, robots, strict=True)
-        for t, f in cases
-        if t["robot"] == out
-    ]
+    apart = decided_apart(cases, left_out, best[FLAGGED])
     print(len(cases), "cases of", len(robots), "robots; robots left out:", measures(apart))
     if relative is not None:
         best["relative"] = relative
@@ -205,6 +200,26 @@ def choose(
     content["decided"] = f"{len(cases)} cases of {len(robots)} robots{earlier}"
     write_json(target, content)
     print("all:", measures([(t, decide(f, best)) for t, f in cases]))
+
+
+def decided_apart(
+    cases: Cases, left_out: Mapping[str, Numbers], flagged: float
+) -> list[tuple[dict[str, Any], Decided]]:
+    """Answers and decisions, by the numbers that each robot's cases had no part in."""
+    return [
+        (truth, decide(found, {**left_out[truth["robot"]], FLAGGED: flagged}))
+        for truth, found in cases
+    ]
+
+
+def flagged_from(cases: Cases, left_out: Mapping[str, Numbers]) -> float:
+    """The lowest threshold of a flag with which the nulls of robots left out are quiet enough."""
+    nulls = [(truth, found) for truth, found in cases if truth["kind"] == "null"]
+    for level in np.arange(0.3, 1.0, 0.02).tolist():
+        apart = decided_apart(nulls, left_out, level)
+        if np.mean([one.verdict == "consistent" for _, one in apart]) >= QUIET:
+            break
+    return float(level)
 
 
 def offering(cases: Cases, numbers: Numbers, *, go_on: bool = False) -> Numbers:
@@ -259,7 +274,7 @@ def spread_of(sets: Sequence[Path], verdicts: Sequence[Path], known: float) -> f
 
 
 def tuned(cases: Cases, begun: Numbers, *, go_on: bool = False) -> Numbers:
-    """Numbers with the best answers: curves, evidence of alike effects, threshold of a flag.
+    """Numbers with the best answers: curves, and evidence of alike effects.
 
     The others keep their values: a random search of them was worse on robots left out. ``go_on``:
     only the curves are fitted, with a prior about their present weights.
