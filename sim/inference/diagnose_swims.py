@@ -196,7 +196,7 @@ def _mismatch(
     out, told = [], []
     for k in np.argsort(-share).tolist():
         if share[k] >= least or after[k] < _IMPROVED * before[k]:
-            where, advice = located(swims, square[:, k])
+            where, advice = located(swims, square[:, k], k)
             where = f"{100 * share[k]:.0f} % of the residual of all signals, {where}"
             windows_s = windows_of(swims, [one[:, k] for one in residual])
             component = names[k].partition(".")[0]

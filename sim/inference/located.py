@@ -26,12 +26,14 @@ def residuals(problem: SwimProblem, rows: Array) -> list[Array]:
     return [blocks.in_time(part) for blocks, part in pairs]
 
 
-def located(swims: Sequence[Swim], square: Array, *, least: float = 0.05) -> tuple[str, str]:
-    """Part of the motion in which squared residuals (n,) of all swims are, and what to record.
+def located(
+    swims: Sequence[Swim], square: Array, signal: int, *, least: float = 0.05
+) -> tuple[str, str]:
+    """Part of the motion in which squared residuals (n,) of a signal are, and what to record.
 
     ``least``: as in ``most_uneven``, that of 40 % of the squares in a quarter of the time.
     """
-    part = most_uneven(square, _parts(swims), least=least)
+    part = most_uneven(square, _parts(swims, signal), least=least)
     if part is None:
         return "throughout the motion", "Record longer swims with other strokes"
     return str(part), part.advice
@@ -44,8 +46,10 @@ def windows_of(swims: Sequence[Swim], residual: Sequence[Array]) -> dict[str, tu
     return {s.name: windows(s.t, one, sd) for (s, one), sd in zip(pairs, sizes, strict=True)}
 
 
-def _parts(swims: Sequence[Swim], *, rest_share: float = 0.05) -> Iterator[tuple[str, Mask, str]]:
-    """Parts of the motion: words, samples, what to record.
+def _parts(
+    swims: Sequence[Swim], signal: int, *, rest_share: float = 0.05
+) -> Iterator[tuple[str, Mask, str]]:
+    """Parts of the motion of a joint, or of the last and the body: words, samples, advice.
 
     A joint rests below ``rest_share`` of the rate of its fastest 1 %.
     """
@@ -58,12 +62,12 @@ def _parts(swims: Sequence[Swim], *, rest_share: float = 0.05) -> Iterator[tuple
 
     t = np.concatenate([swim.t for swim in swims])
     yield "in the first 2 s", t < 2.0, "Record the start from rest several times"
-    joint = swims[0].signals.shape[1] - 3
-    swing, _ = of_all(-1)
-    rate = np.concatenate([np.gradient(np.nan_to_num(s.signals[:, -1]), CONTROL_S) for s in swims])
+    k = signal if signal > 2 else swims[0].signals.shape[1] - 1
+    (swing, _), joint = of_all(k), k - 2
+    rate = np.concatenate([np.gradient(np.nan_to_num(s.signals[:, k]), CONTROL_S) for s in swims])
     rest = rest_share * float(np.quantile(np.abs(rate), 0.99))
     moves = np.abs(rate) > rest
-    yield "while the last joint rests", ~moves, "Record pauses and glides between strokes"
+    yield f"while joint {joint} rests", ~moves, "Record pauses and glides between strokes"
     # phase of the stroke: angle and rate in units of their root mean squares
     far, fast = (np.abs(x) / max(float(np.sum(x[moves] ** 2)) ** 0.5, 1e-9) for x in (swing, rate))
     advice = "Record strokes of several amplitudes at one beat"
@@ -73,22 +77,24 @@ def _parts(swims: Sequence[Swim], *, rest_share: float = 0.05) -> Iterator[tuple
     yield f"while joint {joint} turns to positive angles", rate > rest, mirrored
     yield f"while joint {joint} turns to negative angles", rate < -rest, mirrored
     (_, surge), (_, turning) = of_all(0), of_all(2)
+    far_off = np.concatenate([_away(swim) for swim in swims])
     yield "in turns to the left", turning > np.quantile(np.abs(turning), 0.5), mirrored
     yield "in turns to the right", turning < -np.quantile(np.abs(turning), 0.5), mirrored
     states = (
+        (f"rates of joint {joint}", "rad/s", np.abs(rate), "Record beats of several frequencies"),
         ("speeds", "m/s", surge, "Record steady swims at several speeds"),
         ("rates of turning", "rad/s", np.abs(turning), "Record circles of several radii"),
-        (f"rates of joint {joint}", "rad/s", np.abs(rate), "Record beats of several frequencies"),
-        ("distances from the pool's origin", "m", _away(swims), "Record swims all over the pool"),
+        ("distances from the pool's origin", "m", far_off, "Record swims all over the pool"),
     )
-    for name, unit, state, advice in states:
+    for name, unit, state, advice in states[: 1 if signal > 2 else None]:
         for level in np.quantile(state, (0.25, 0.5, 0.75, 0.9)).tolist():
             edge = f"{three_digits(level)} {unit}"
             yield f"at {name} above {edge}", state > level, advice
             yield f"at {name} below {edge}", state <= level, advice
 
 
-def _away(swims: Sequence[Swim]) -> Array:
-    """Distance of the head from the pool's origin in all swims, m; 0 where poses are not known."""
-    poses = [np.zeros((s.t.size, 3)) if s.pose is None else np.nan_to_num(s.pose) for s in swims]
-    return np.asarray(np.hypot(*np.concatenate(poses)[:, :2].T))
+def _away(swim: Swim) -> Array:
+    """Distance of the head from the pool's origin, m, shape (T,); 0 where poses are not known."""
+    if swim.pose is None:
+        return np.zeros(swim.t.size)
+    return np.nan_to_num(np.hypot(swim.pose[:, 0], swim.pose[:, 1]))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.inference.coordinates import WATER_FORCES, Name, Names
+from sim.inference.coordinates import SERVOS, WATER_FORCES, Name, Names
 from sim.inference.signal_error import BANDS, ROWS
 from sim2real.diagnose.result import Verdict
 
@@ -105,7 +105,10 @@ class _Sets:
         return group
 
     def predicting(self, likely: Mapping[Name, float]) -> Names:
-        """Likely effects that each increase the held-out likelihood, unsure ones the speed's."""
+        """Likely effects that each increase the held-out likelihood, unsure ones the speed's.
+
+        Effects of servos show in the joints' angles, and need not change the speed.
+        """
         members, numbers = frozenset(likely), self.numbers
         if members not in self.held_out:
             return frozenset()
@@ -114,7 +117,8 @@ class _Sets:
             rest = members - {name}
             if rest in self.held_out:
                 least = (1 - numbers["held_better"]) * max(self.held_out[rest][1], 1e-9)
-                slow = self.held_out[members][1] > least and likely[name] < numbers["held_sure"]
+                unsure = likely[name] < numbers["held_sure"] and name[1] != SERVOS
+                slow = self.held_out[members][1] > least and unsure
                 if slow or self.held_out_gain(members, rest) < numbers["held_gain"]:
                     smaller.append(rest)
         if not smaller:

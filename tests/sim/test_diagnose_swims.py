@@ -12,7 +12,7 @@ from test_calibrate import SENT, TIMES
 import sim.inference.coordinates as places
 from sim.inference import law_error
 from sim.inference import searched as search
-from sim.inference.coordinates import WATER_FORCES, Coordinates, candidates
+from sim.inference.coordinates import SERVOS, WATER_FORCES, Coordinates, candidates
 from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.law_error import LAW_ERROR, learned, read_law_error
 from sim.inference.searched import SwimSearch, searched
@@ -249,6 +249,9 @@ def test_what_is_nearly_certain_need_not_change_the_speed():
     assert [bool(one.offered) for one in said] == [False, True]
     worse = [((), 900.0, 0.03), ((LATE,), 950.0, 0.0299)]
     assert not decide(raw(*sets, held=worse), loose).offered
+    friction = (("coulomb_friction", SERVOS),)  # seen in the angles
+    held = [((), 900.0, 0.03), (friction, 800.0, 0.0299)]
+    assert decide(raw(((), 0.0), (friction, 400.0), held=held), strict).offered
 
 
 def test_a_share_of_the_evidence_of_a_force_does_not_tell_its_kind():

@@ -15,19 +15,19 @@ from sim.inference.swims import by_followed_twin, with_values
 
 
 @pytest.mark.parametrize(
-    ("part", "words"),
+    ("signal", "part", "words"),
     [
-        (lambda swim: swim.t < 2.0, "first 2 s"),
-        (lambda swim: np.gradient(swim.signals[:, 5]) > 0.01, "turns to positive angles"),
-        (lambda swim: swim.t > 0.85 * swim.t[-1], "distances from the pool's origin above"),
-        (lambda swim: np.ones(swim.t.size, dtype=bool), "throughout"),
+        (0, lambda swim: swim.t < 2.0, "first 2 s"),
+        (4, lambda swim: np.gradient(swim.signals[:, 4]) > 0.01, "joint 2 turns to positive"),
+        (0, lambda swim: swim.t > 0.85 * swim.t[-1], "distances from the pool's origin above"),
+        (2, lambda swim: np.ones(swim.t.size, dtype=bool), "throughout"),
     ],
 )
-def test_the_part_with_the_residual_is_told(part, words):
+def test_the_part_with_the_residual_is_told(signal, part, words):
     swim = swum({})
     large = part(swim)
     square = np.random.default_rng(0).standard_normal(swim.t.size) ** 2 * np.where(large, 25, 1)
-    where, advice = located([swim], square)
+    where, advice = located([swim], square, signal)
     assert words in where
     assert advice.startswith("Record ")
     if not large.all():
