@@ -239,17 +239,22 @@ def fit_motor(
     """Fit the columns ``names`` of a motor; gains that are not among them are those of ``base``.
 
     Searches start from the servos ``starts`` (S, P), by default from draws about ``base``, a fit
-    with fewer columns.
+    with fewer columns. Those for losses end early where they promise less than half of what is
+    significant.
     """
     row = plain_row(0.0, 0.0, 0.0)
     if BASE[0] not in names:
         row[:3] = base.row[:3]
     problem = ServoProblem(traces, row, prior.of(names), prior.ties)
     lossy = not set(LOSSES).isdisjoint(names)
+    if not lossy:
+        starts = drawn(problem, base, rng, draws=64, most=4) if starts is None else starts
+        return fit(problem, starts)
+    rival = None
     if starts is None:
-        draws, most = (512, 3 if SOFT[0] in names else 12) if lossy else (64, 4)
-        starts = drawn(problem, base, rng, draws=draws, most=most)
-    return fit(problem, starts, behind=200.0 if lossy else 30.0, rng=rng if lossy else None)
+        rival = base, 0.5 * _beyond_chance(len(names) - len(base.names))
+        starts = drawn(problem, base, rng, most=3 if SOFT[0] in names else 12)
+    return fit(problem, starts, behind=200.0, rival=rival, rng=rng)
 
 
 def _likeliest(options: Sequence[Fit]) -> Fit:
@@ -258,7 +263,12 @@ def _likeliest(options: Sequence[Fit]) -> Fit:
     return max(options, key=lambda motor: motor.evidence(best.scale_rad, best.inflation))
 
 
-def _better(fewer: Fit, more: Fit, added: int, *, beyond_chance: float = 6.0) -> bool:
+def _better(fewer: Fit, more: Fit, added: int) -> bool:
     """Whether ``added`` parameters decrease the loss significantly, for residuals like theirs."""
     noise = more.scale_rad, more.inflation
-    return fewer.loss(*noise) - more.loss(*noise) > 2 * added + beyond_chance
+    return fewer.loss(*noise) - more.loss(*noise) > _beyond_chance(added)
+
+
+def _beyond_chance(added: int, *, margin: float = 6.0) -> float:
+    """Decrease of the loss by ``added`` parameters from which it is significant."""
+    return 2 * added + margin
