@@ -239,8 +239,7 @@ def fit_motor(
     """Fit the columns ``names`` of a motor; gains that are not among them are those of ``base``.
 
     Searches start from the servos ``starts`` (S, P), by default from draws about ``base``, a fit
-    with fewer columns. Those for losses end early where they promise less than half of what is
-    significant.
+    with fewer columns. Those for losses end early where they promise too little to be ``_better``.
     """
     row = plain_row(0.0, 0.0, 0.0)
     if BASE[0] not in names:
@@ -252,7 +251,7 @@ def fit_motor(
         return fit(problem, starts)
     rival = None
     if starts is None:
-        rival = base, 0.5 * _beyond_chance(len(names) - len(base.names))
+        rival = base, len(names) - len(base.names) + 3.0  # half of what is significant
         starts = drawn(problem, base, rng, most=3 if SOFT[0] in names else 12)
     return fit(problem, starts, behind=200.0, rival=rival, rng=rng)
 
@@ -263,12 +262,7 @@ def _likeliest(options: Sequence[Fit]) -> Fit:
     return max(options, key=lambda motor: motor.evidence(best.scale_rad, best.inflation))
 
 
-def _better(fewer: Fit, more: Fit, added: int) -> bool:
+def _better(fewer: Fit, more: Fit, added: int, *, beyond_chance: float = 6.0) -> bool:
     """Whether ``added`` parameters decrease the loss significantly, for residuals like theirs."""
     noise = more.scale_rad, more.inflation
-    return fewer.loss(*noise) - more.loss(*noise) > _beyond_chance(added)
-
-
-def _beyond_chance(added: int, *, margin: float = 6.0) -> float:
-    """Decrease of the loss by ``added`` parameters from which it is significant."""
-    return 2 * added + margin
+    return fewer.loss(*noise) - more.loss(*noise) > 2 * added + beyond_chance
