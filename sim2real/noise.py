@@ -167,9 +167,10 @@ def _noise_before_rounding(blocks: Array) -> float:
     """Maximum-likelihood noise before rounding, in steps, of blocks (N, BLOCK) at unknown rest."""
     sd = np.geomspace(0.03, 1, 36)[:, None, None]
     angle = np.arange(-0.5, 0.5, 0.05)[:, None]
-    likelihood = np.zeros(sd.size)
-    for block in np.round(blocks - np.median(blocks, axis=1, keepdims=True)):
-        level, counts = np.unique(block, return_counts=True)
-        inside = ndtr((level + 0.5 - angle) / sd) - ndtr((level - 0.5 - angle) / sd)
-        likelihood += logsumexp(np.log(np.maximum(inside, 1e-300)) @ counts, axis=1)
+    rounded = np.round(blocks - np.median(blocks, axis=1, keepdims=True))
+    level = np.unique(rounded)
+    counts = (rounded[:, :, None] == level).sum(axis=1)
+    inside = ndtr((level + 0.5 - angle) / sd) - ndtr((level - 0.5 - angle) / sd)
+    each = logsumexp(np.log(np.maximum(inside, 1e-300)) @ counts.T, axis=1)
+    likelihood = each.sum(axis=1)
     return float(sd[np.argmax(likelihood), 0, 0])

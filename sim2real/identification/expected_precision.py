@@ -9,9 +9,8 @@ from sim2real.identification.priors import gains, of_effects
 from sim2real.identification.problem import ServoProblem
 from sim2real.identification.starts import first_guess
 from sim2real.inference.normal import Z90
-from sim2real.noise import noise_floor
 from sim2real.recording import PER_INERTIA, Recording
-from sim2real.servo.trace import traces
+from sim2real.servo.trace import sensor_noise, traces
 
 
 def expected_precision(recording: Recording, joint: str, *, seed: int = 0) -> tuple[str, ...]:
@@ -34,8 +33,7 @@ def expected_precision(recording: Recording, joint: str, *, seed: int = 0) -> tu
     _, (slopes,) = problem.slopes(x, rough=False)
     size = problem.unit * np.where(problem.log, problem.values(x)[0], 1.0)
     unit = np.array([kp, max(start[1], 0.4 * np.sqrt(kp * inertia)), 0.05, inertia])[: size.size]
-    noise = max(noise_floor(trace.t, trace.command, trace.position), 1e-6)
-    scaled = slopes / size * unit / noise
+    scaled = slopes / size * unit / sensor_noise([trace])
     level, directions = np.linalg.eigh(scaled.T @ scaled)
     sd = np.sqrt((directions**2) @ (1 / np.maximum(level, 1e-12)))
     precise, units = [], ("N m/rad", "N m s/rad", "ms", "kg m2")

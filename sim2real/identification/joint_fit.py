@@ -239,17 +239,21 @@ def fit_motor(
     """Fit the columns ``names`` of a motor; gains that are not among them are those of ``base``.
 
     Searches start from the servos ``starts`` (S, P), by default from draws about ``base``, a fit
-    with fewer columns.
+    with fewer columns. Those for losses end early where they promise too little to be ``_better``.
     """
     row = plain_row(0.0, 0.0, 0.0)
     if BASE[0] not in names:
         row[:3] = base.row[:3]
     problem = ServoProblem(traces, row, prior.of(names), prior.ties)
     lossy = not set(LOSSES).isdisjoint(names)
+    if not lossy:
+        starts = drawn(problem, base, rng, draws=64, most=4) if starts is None else starts
+        return fit(problem, starts)
+    rival = None
     if starts is None:
-        draws, most = (512, 3 if SOFT[0] in names else 12) if lossy else (64, 4)
-        starts = drawn(problem, base, rng, draws=draws, most=most)
-    return fit(problem, starts, behind=200.0 if lossy else 30.0, rng=rng if lossy else None)
+        rival = base, len(names) - len(base.names) + 3.0  # half of what is significant
+        starts = drawn(problem, base, rng, most=3 if SOFT[0] in names else 12)
+    return fit(problem, starts, behind=200.0, rival=rival, rng=rng)
 
 
 def _likeliest(options: Sequence[Fit]) -> Fit:

@@ -28,6 +28,7 @@ def fit(
     last: int = 60,
     effort: float = 1.0,
     behind: float = 30.0,
+    rival: tuple[Fit, float] | None = None,
     rng: np.random.Generator | None = None,
     most: int = 8,
 ) -> Fit:
@@ -36,7 +37,7 @@ def fit(
     Levenberg-Marquardt searches run simultaneously; those that approach the minimum of a better one
     or fall ``behind`` it in log-likelihood end. The likelihood counts correlated residuals as fewer
     samples, so that misfit does not outweigh the prior; the scale of the residual is estimated
-    again between rounds.
+    again after each round, and rounds end where it stays the same.
 
     Args:
         problem: The problem.
@@ -47,26 +48,28 @@ def fit(
         last: The same of the best search alone, in the end.
         effort: Multiplies these three.
         behind: See above.
+        rival: Another fit, and by how much the first round must go below its loss: else the fit
+            ends there, not at its minimum.
         rng: Generator for the neighbours by which ``most`` minima are ordered (``robust_order``)
             where a servo may stick or just not; None for the order of their losses.
         most: See ``rng``.
     """
     x = problem.searched(starts)
     error = problem.residuals(x)
-    error = error[np.argmin(np.mean(np.abs(error), axis=1))]
-    scale = 0.0
+    noise = _noise(problem, error[np.argmin(np.mean(np.abs(error), axis=1))])
     for number in range(rounds):
-        before, scale = scale, robust_scale(error)
-        noise = scale, problem.inflation(error)
         evaluations = round(effort * (later if number else first))
         x, loss, _ = search(problem, x, noise, evaluations, rough=not number, behind=behind)
-        error = problem.residuals(x[:1])[0]
-        if number:
-            x = x[loss < loss[0] + behind]
-            if abs(scale / before - 1) < _SAME_SCALE:
-                break
-    noise = robust_scale(error), problem.inflation(error)
-    x = x[apart(x, 0.1)]
+        error = problem.residuals(x[:1])
+        scale, noise = noise[0], _noise(problem, error[0])
+        x = x[loss < loss[0] + behind] if number else x
+        x = x[apart(x, 0.1)]
+        if number and abs(noise[0] / scale - 1) < _SAME_SCALE:
+            break
+        lower = rival[0].loss(*noise) - problem.loss(x[:1], error, *noise)[0] if rival else 0.0
+        if rival is not None and not number and lower < rival[1]:
+            x, last = x[:1], 0
+            break
     if rng is not None and len(x) > 1:
         x = x[robust_order(problem, x[:most], noise, rng)]
     best, _, converged = search(problem, x[:1], noise, round(effort * last), settled=1e-6)
@@ -74,6 +77,11 @@ def fit(
     loss = problem.loss(x, problem.residuals(x), *noise)
     (error,), (slopes,) = problem.slopes(best, rough=False)
     return Fit(problem, x[0], error, slopes, *noise, converged, x[1:], loss[1:] - loss[0])
+
+
+def _noise(problem: ServoProblem, error: Array) -> tuple[float, float]:
+    """Scale of a residual (n,) in rad, and its inflation."""
+    return robust_scale(error), problem.inflation(error)
 
 
 def search(

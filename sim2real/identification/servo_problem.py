@@ -263,11 +263,20 @@ def minimise(
         white: Whether to assume white noise.
         hopeless: Selects servos to stop, see ``inference.least_squares.minimise``.
     """
+    latest: dict[int, Array] = {}
+
+    def losses(x: Array, index: Index) -> Array:
+        noise = np.zeros((index.size, batch.lags)) if white else None
+        normal = batch.evaluate(variants(servos[index].at(x)), autoregression=noise, alone=True)
+        assert normal.angles is not None
+        latest.update(zip(index.tolist(), normal.angles, strict=True))
+        return -profile_loglikelihood(normal.square[:, 0], normal.count)
 
     def expand(x: Array, index: Index) -> Expansion:
-        trial = servos[index].at(x)
         noise = np.zeros((index.size, batch.lags)) if white else None
-        normal = batch.evaluate(variants(trial), blocks=blocks, autoregression=noise)
+        known = np.array([latest[k] for k in index.tolist()]) if latest else None
+        trial = variants(servos[index].at(x))
+        normal = batch.evaluate(trial, blocks=blocks, autoregression=noise, known=known)
         total = normal.gram.sum(axis=1)
         share = (normal.count / np.maximum(total[:, 0, 0], 1e-300))[:, None]
         aside = {"gram": normal.gram, "noise": normal.autoregression, "count": normal.count}
@@ -284,6 +293,7 @@ def minimise(
         free=servos.free,
         evaluations=iterations,
         hopeless=hopeless,
+        losses=losses,
     )
     aside = minimum.expansion.aside
     return Fits(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -63,6 +63,8 @@ class Normal:
     # simulated minus measured angles before whitening, shape (N, R, T); None unless requested
     residual: Array | None = None
     whitened: Array | None = None  # innovations of the residual, likewise
+    # simulated angles of the servos, see ``known`` of ``Batch.evaluate``, shape (N, R, T)
+    angles: Array | None = None
 
 
 class Batch:
@@ -123,6 +125,8 @@ class Batch:
         autoregression: Array | None = None,
         keep: bool = False,
         rough: bool = False,
+        alone: bool = False,
+        known: Array | None = None,
     ) -> Normal:
         """Simulate the problems, whiten residuals and differences, and form inner products.
 
@@ -131,10 +135,14 @@ class Batch:
         is by default fitted by least squares to its residual. With ``keep``, residuals and
         innovations are returned as well; with ``rough``, the servos are also simulated with the
         longer sub-steps of differences (``rollout.coarse_substep``), as for the choice of starting
-        points.
+        points. ``alone``: the servos without their variants, with their ``angles``, which a further
+        evaluation then takes as ``known``; the variants are counted at the first.
         """
+        if known is None:
+            self._count_substeps(problems, rough=rough)
+        if alone:
+            problems = Problems(problems.joint, problems.theta[:, :1], problems.scale[:, :1])
         N, V, _ = problems.theta.shape
-        self._count_substeps(problems, rough=rough)
         if self.white:
             autoregression = np.zeros((N, self.lags))
         capacity = next(v for k, v in _BYTES.items() if self.device.startswith(k))
@@ -144,18 +152,22 @@ class Batch:
         for part in (slice(k, min(k + size, N)) for k in range(0, N, size)):
             coefficients = None if autoregression is None else autoregression[part]
             piece = Problems(problems.joint[part], problems.theta[part], problems.scale[part])
-            results.append(self._evaluate(piece, shape, coefficients, keep=keep, rough=rough))
+            exact = None if known is None else known[part]
+            results.append(self._evaluate(piece, shape, coefficients, exact, keep, rough, alone))
         gram, square, model, *extras = (np.concatenate(x) for x in zip(*results, strict=True))
-        return Normal(gram, square, self.count(problems.joint), model, *extras)
+        normal = Normal(gram, square, self.count(problems.joint), model)
+        names = ("angles",) if alone else ("residual", "whitened")
+        return replace(normal, **dict(zip(names, extras, strict=False)))
 
     def _evaluate(
         self,
         problems: Problems,
         size: tuple[int, int],
         coefficients: Array | None,
-        *,
+        known: Array | None,
         keep: bool,
         rough: bool,
+        alone: bool,
     ) -> tuple[Array, ...]:
         N, V, _ = problems.theta.shape
         recordings = self.recordings[problems.joint]
@@ -199,10 +211,14 @@ class Batch:
 
         servos = variant == 0
         long_steps = V > 1 and dev == "cpu"
-        run(fine, rows[servos] if long_steps else None)
+        if known is None or not long_steps:
+            run(fine, rows[servos] if long_steps else None)
+        extras = []
+        if alone:
+            extras.append(self._fetch(angle, first, count, recordings))
         if long_steps:
             angles = angle.numpy()  # the same memory
-            exact = angles[servos]
+            exact = angles[servos] if known is None else known[problem, recording][servos]
             run(coarse)
             repeated = np.isin(base, base[_unstable(angles, servos, exact)])
             if repeated.any():
@@ -211,7 +227,6 @@ class Batch:
         if long_steps:
             angles[servos] = exact
         launch(whitening.residual, rows.size, [*shared, self._position, angle])
-        extras = []
         if keep:
             weighted = self._fetch(angle, first, count, recordings)
             at = self.first_signal[problems.joint][:, None] + np.arange(R)

@@ -196,10 +196,10 @@ class Simulator:
         ``substep_s``: longest sub-step, a number or (B,); if it is infinite, all must be linear.
         """
         substeps = np.broadcast_to(substep_s, len(theta))
-        threads = min(self.threads, len(theta))
+        S = len(self.traces)
+        threads = min(self.threads, max(1, len(theta) * S // 16))  # a launch costs as 5 rows
         parts = zip(*(np.array_split(x, threads) for x in (theta, substeps)), strict=True)
         results = list(self._pool.map(lambda part: self.run(*part).numpy(), parts))
-        S = len(self.traces)
         return [
             np.concatenate([angle[s::S, : trace.t.size] for angle in results])
             for s, trace in enumerate(self.traces)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -91,6 +92,11 @@ class Trace:
     def duration_s(self) -> float:
         """Time between the first and the last sample, s."""
         return float(self.t[-1] - self.t[0])
+
+    @cached_property
+    def noise_floor_rad(self) -> float:
+        """Standard deviation of the sensor's noise, see ``noise.noise_floor``."""
+        return noise_floor(self.t, self.command, self.position)
 
     def quantization_step(self) -> float:
         """Step on which the used angles lie, in rad; 0 if there is none."""
@@ -217,8 +223,7 @@ def firmware_gain(recording: Recording) -> float | None:
 
 def sensor_noise(traces: Sequence[Trace]) -> float:
     """Standard deviation of a joint's sensor noise in rad, the largest over its recordings."""
-    floors = (noise_floor(trace.t, trace.command, trace.position) for trace in traces)
-    return max(FINEST_NOISE_RAD, *floors)
+    return max(FINEST_NOISE_RAD, *(trace.noise_floor_rad for trace in traces))
 
 
 def check_samples(traces: Sequence[Trace], joint: str, *, fewest: int = 20) -> None:

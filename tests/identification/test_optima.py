@@ -1,12 +1,16 @@
 """Fits with several optima: which one is taken, and what is said of the others."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import simulated
 
 from sim2real.identification import advice
 from sim2real.identification.identify import identify
+from sim2real.identification.priors import gains
 from sim2real.identification.problem import Fit, ServoProblem, plain_row
+from sim2real.identification.search import fit
 from sim2real.identification.uncertainty import Uncertainty
 from sim2real.inference.parameters import Parameter
 from sim2real.recording import read_recording
@@ -34,6 +38,15 @@ def test_an_optimum_outside_the_interval_is_named_with_what_differs():
     assert "kp" not in note
     assert advice.on_optima(fit_with([[2.09, 0.00209]]), spread) == []
     assert advice.on_optima(fit_with([]), spread) == []
+
+
+def test_a_fit_ends_early_where_it_does_not_come_below_its_rival():
+    problem = ServoProblem([simulated.traced(1)], plain_row(1.0, 0.05, 0.05), gains(0.002))
+    start = plain_row(1.05 * simulated.KP, simulated.KD, simulated.LATENCY)[None]
+    best = fit(problem, start)
+    worse = replace(best, error=best.error + 0.01)
+    assert best.converged and fit(problem, start, rival=(worse, 5.0)).converged
+    assert not fit(problem, start, rival=(best, 5.0)).converged
 
 
 @pytest.mark.parametrize("gain, held_out", [(200, "up_and_down"), (800, "lift_and_drop")])

@@ -104,6 +104,19 @@ def test_gram_holds_the_inner_products_of_each_block(joints, problems, seen):
                 np.testing.assert_allclose(got, expected, rtol=1e-6, atol=1e-10)
 
 
+def test_servos_whose_angles_are_known_are_neither_simulated_nor_counted_again(
+    joints, problems, seen
+):
+    batch = Batch(joints)
+    angles = batch.evaluate(problems, alone=True).angles
+    counted = batch.substeps.copy()
+    again = batch.evaluate(problems, blocks=BLOCKS, deep=DEEP, known=angles)
+    np.testing.assert_allclose(again.gram, seen.gram, rtol=1e-12)
+    np.testing.assert_array_equal(batch.substeps, counted)
+    moved = batch.evaluate(problems, known=1.2 * angles).square
+    assert (moved[:, 0] > 2 * seen.square[:, 0]).all()
+
+
 def test_an_unstable_variant_has_the_short_substeps(joints):
     """Damping that grows with the speed diverges where sub-steps are long."""
     theta = np.tile(row(), (1, 2, 1))
