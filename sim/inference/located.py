@@ -81,12 +81,13 @@ def _parts(
     yield "in turns to the left", turning > np.quantile(np.abs(turning), 0.5), mirrored
     yield "in turns to the right", turning < -np.quantile(np.abs(turning), 0.5), mirrored
     states = (
+        ("times", "s", t, "Record the same swim again, and a longer one"),
         (f"rates of joint {joint}", "rad/s", np.abs(rate), "Record beats of several frequencies"),
         ("speeds", "m/s", surge, "Record steady swims at several speeds"),
         ("rates of turning", "rad/s", np.abs(turning), "Record circles of several radii"),
         ("distances from the pool's origin", "m", far_off, "Record swims all over the pool"),
     )
-    for name, unit, state, advice in states[: 1 if signal > 2 else None]:
+    for name, unit, state, advice in states[: 2 if signal > 2 else None]:
         for level in np.quantile(state, (0.25, 0.5, 0.75, 0.9)).tolist():
             edge = f"{three_digits(level)} {unit}"
             yield f"at {name} above {edge}", state > level, advice

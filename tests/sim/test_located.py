@@ -19,7 +19,7 @@ from sim.inference.swims import by_followed_twin, with_values
     [
         (0, lambda swim: swim.t < 2.0, "first 2 s"),
         (4, lambda swim: np.gradient(swim.signals[:, 4]) > 0.01, "joint 2 turns to positive"),
-        (0, lambda swim: swim.t > 0.85 * swim.t[-1], "distances from the pool's origin above"),
+        (0, lambda swim: swim.t > 0.75 * swim.t[-1], "at times above"),
         (2, lambda swim: np.ones(swim.t.size, dtype=bool), "throughout"),
     ],
 )
