@@ -1,4 +1,4 @@
-"""Measured error of the twin, which counts as noise in a diagnosis, and the thresholds.
+"""Measured error of the twin, which counts as noise in fits of swims, and the thresholds.
 
 The error of a twin that was calibrated on a robot's swims, on other swims of the same robot in
 which nothing is missing: ``benchmarks/pool_law_error.py``, ``benchmarks/pool_decisions.py``; of one
@@ -8,16 +8,18 @@ robot, from its reference swims.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from sim.inference.coordinates import Coordinates
+from sim.inference.coordinates import Column, Coordinates
 from sim.inference.signal_error import BANDS, ROWS
 from sim.inference.swim_problem import Fit, SwimPrior, SwimProblem
 from sim.inference.swims import Swim, SwimSimulator
 from sim2real.arrays import Array
+from sim2real.inference.parameters import Parameter
+from sim2real.inference.selection import Members
 from sim2real.model import Model
 from sim2real.robot import Robot
 from sim2real.structured import read_json
@@ -32,6 +34,8 @@ NEVER = 1e-3
 """Standard deviation of columns that the error does not imitate, in steps of derivatives."""
 _ERROR_LIMITS = (0.5, 6.0)
 """Limits of the mean square error of the twin for one robot, relative to the usual one."""
+_SETTLED = 0.5
+"""Change of the log-evidence by new derivatives below which ``marginalised`` ends."""
 _SCALES = (0.7, 0.85, 1.0, 1.2, 1.4, 1.7)
 """Scales of the variation between swims of a robot that are compared."""
 
@@ -52,23 +56,27 @@ class LawError:
     shift: Mapping[str, float]  # mean over robots of their difference from the nominal coefficients
     # thresholds, and the weights of curves as ``curve: term``, by name
     decisions: Mapping[str, float]
+    # standard deviation by kind of the errors of servos' parameters that ``marginalised`` leaves
+    # unexplained, in development swims (``benchmarks/coverage.py``)
+    unexplained: Mapping[str, float] = field(default_factory=dict)
 
     def prior(self, coordinates: Coordinates) -> SwimPrior:
         """Prior of a swim of a robot without reference swims."""
         columns = coordinates.columns
-
-        def sizes(table: Mapping[str, float], others: Array) -> Array:
-            """The size of each column; that of a gain is relative to its nominal value."""
-            known = [
-                table.get(c.kind, np.nan) * (abs(c.nominal) if c.kind in RELATIVE else 1.0)
-                for c in columns
-            ]
-            return np.where(np.isnan(known), others, known)
-
-        imitation = sizes(self.imitated, NEVER * coordinates.each("step"))
+        imitation = sizes(self.imitated, columns, NEVER * coordinates.each("step"))
         mean = [self.usual.get(c.kind, c.nominal + self.shift.get(c.kind, 0.0)) for c in columns]
-        covariance = np.diag(np.square(sizes(self.unknown, imitation)))
+        covariance = np.diag(np.square(sizes(self.unknown, columns, imitation)))
         return SwimPrior(np.array(mean), covariance, imitation, self.shares)
+
+
+def sizes(
+    table: Mapping[str, float], columns: Sequence[Column], others: Array | float = 0.0
+) -> Array:
+    """The size of each column by its kind, (F,); that of a gain is relative to its value."""
+    known = [
+        table.get(c.kind, np.nan) * (abs(c.nominal) if c.kind in RELATIVE else 1.0) for c in columns
+    ]
+    return np.where(np.isnan(known), others, known)
 
 
 def read_law_error(path: Path = FILE) -> LawError:
@@ -76,7 +84,9 @@ def read_law_error(path: Path = FILE) -> LawError:
     content = read_json(path, SCHEMA)
     shares = [[content["shares"][row][band] for band in BANDS] for row in ROWS]
     names = ("imitated", "unknown", "usual", "shift", "decisions")
-    return LawError(np.array(shares, dtype=np.float64), *(content[name] for name in names))
+    tables = {name: content[name] for name in names}
+    tables["unexplained"] = content.get("unexplained", {})
+    return LawError(np.array(shares, dtype=np.float64), **tables)
 
 
 LAW_ERROR = read_law_error()
@@ -150,3 +160,65 @@ def together(
     curvature = sum(n - n @ covariance @ n for (n, _), covariance in pairs)
     gradient = sum(g - n @ covariance @ g for (n, g), covariance in pairs)
     return np.asarray(curvature), np.asarray(gradient), covariances
+
+
+def marginalised(
+    swims: Sequence[Swim],
+    model: Model,
+    robot: Robot,
+    free: Sequence[Parameter],
+    best: Array,
+    simulate: SwimSimulator,
+    law_error: LawError = LAW_ERROR,
+) -> tuple[Array, Array]:
+    """Mean (F,) and covariance (F, F) of parameters that a calibration fitted as ``best`` (F,).
+
+    The gains, the coefficients of the law that a calibration holds and the error of the twin are
+    marginalised in a linear model, and sets of effects that the swims may hide are averaged by
+    their evidence (Hoeting, Madigan, Raftery and Volinsky, Statistical Science 14 (1999) 382).
+    """
+    c = Coordinates.of(robot, model, free)
+    usual = law_error.prior(c)
+    own = np.array([k < len(free) and x.kind not in RELATIVE for k, x in enumerate(c.columns)])
+    mean = np.where(own, c.nominal, usual.mean)
+    variance = np.where(own, c.each("prior_sd") ** 2, np.diag(usual.covariance))
+    prior = replace(usual, mean=mean, covariance=np.diag(variance))
+    problem = SwimProblem(c, swims, simulate, prior)
+    # a hidden effect misleads a fit without it, and the values before the fit may be far off
+    law = np.array([x.kind.startswith("twin.") for x in c.columns[: len(free)]])
+    others = problem.centre(frozenset())[len(free) :]
+    starts = np.where(law, best, c.nominal[: len(free)]), best
+    fits = [_converged(problem, np.concatenate([start, others])) for start in starts]
+    fit, sets = max(fits, key=lambda one: max(one[1].values()))
+    shares = np.exp(np.array(list(sets.values())) - max(sets.values()))
+    points = np.array([fit.x + problem.seems(members, fit) for members in sets])
+    between = np.cov(points.T, aweights=shares, bias=True)
+    within = [problem.covariance(members, fit) for members in sets]
+    covariance = between + np.average(within, axis=0, weights=shares)
+    covariance += np.diag(sizes(law_error.unexplained, c.columns) ** 2)
+    centre = np.average(points, axis=0, weights=shares)
+    return centre[: len(free)], covariance[: len(free), : len(free)]
+
+
+def _converged(problem: SwimProblem, x: Array, rounds: int = 6) -> tuple[Fit, dict[Members, float]]:
+    """The fit of the best set from a point (F,), and the evidence of the sets near it."""
+    fit = problem.at(x)
+    sets = _promising(problem, fit)
+    for _ in range(rounds):
+        likely = max(sets, key=lambda members: sets[members])
+        before, fit = sets[likely], problem.refined(likely, fit, fit).fit
+        sets = _promising(problem, fit)
+        if abs(max(sets.values()) - before) < _SETTLED:
+            break
+    return fit, sets
+
+
+def _promising(problem: SwimProblem, fit: Fit, most: int = 3) -> dict[Members, float]:
+    """Evidence of sets of effects near a fit: none, and every effect added to the best set."""
+    best: Members = frozenset()
+    evidence = {best: problem.evidence(best, fit)}
+    for _ in range(most):
+        larger = {best | {e} for e in problem.coordinates.effects.keys() - best}
+        evidence |= {members: problem.evidence(members, fit) for members in larger}
+        best = max(sorted(larger, key=sorted), key=lambda members: evidence[members])
+    return evidence
