@@ -17,18 +17,17 @@ Parameters count that both the plant and the model have. A stopped run with ``--
 
 Swims are those of ``yardstick_cases.twin_swim``: robots of a law of their own, an effect or two
 hidden in three of four, calibrated in turn with gains that a bench leaves 5 % off and with fitted
-gains. ``--learn`` writes to ``sim/inference/law_error.json`` what the errors of servos' parameters
-have beyond their covariances, so that these swims are development swims.
+gains.
 """
 
 from __future__ import annotations
 
-import json
 import sys
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -37,10 +36,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from benchmarks.harness import ROOT, command_line, kept, read_lines, spread, table
-from sim.inference.law_error import FILE, LAW_ERROR, RELATIVE
 from sim2real.arrays import Array
 from sim2real.identification.identify import identify
-from sim2real.output import write_json
 from sim2real.posterior.servo import sample_servo
 from sim2real.recording import Load, Recording
 from sim2real.robot import Joint, Link, Robot, Servo
@@ -190,7 +187,7 @@ def rows_of(rows: Sequence[Row]) -> Iterator[list[str]]:
 
 
 def calibrated(job: tuple[int, int], *, out: Path) -> Row:
-    """True values of a swim's servos; by name the fitted value, centre, variance and interval."""
+    """True values of a swim's servos; by name the fitted value, centre and interval."""
     from benchmarks.yardstick_cases import SWIMS, twin_swim
     from sim2real import calibrate
 
@@ -198,50 +195,26 @@ def calibrated(job: tuple[int, int], *, out: Path) -> Row:
     case = twin_swim(out / f"{seed}_{k}", (seed, k), SWIMS[k % len(SWIMS)])
     model = Path(case.options[-1])
     fit = calibrate(case.recordings, case.robot, model, fit_gains=k % 2 == 1).fitted
-    each = (fit.best, fit.centre, np.diag(fit.covariance), *fit.interval().T)
-    rows = zip(fit.free, *(x.tolist() for x in each), strict=True)
-    found = {p.name: row for p, *row in rows if p.name in case.truth["estimates"]}
+    rows = zip(fit.free, fit.best, fit.centre, *fit.interval().T, strict=True)
+    found = {p.name: list(map(float, x)) for p, *x in rows if p.name in case.truth["estimates"]}
     true = {name: case.truth["estimates"][name] for name in found}
     return {"job": job, "hidden": case.truth["names"], "truth": true, "calibrate": found}
 
 
-def by_kind(rows: Sequence[Row]) -> dict[str, Array]:
-    """Of each kind of parameter: whether effects are hidden, the truth and ``calibrate``'s row."""
-    kinds: dict[str, list[list[float]]] = {}
-    for row in rows:
-        for name, true in row["truth"].items():
-            one = [bool(row["hidden"]), true, *row["calibrate"][name]]
-            kinds.setdefault(f"servo.{name.rpartition('.')[2]}", []).append(one)
-    return {kind: np.array(each).T for kind, each in kinds.items()}
-
-
 def rows_of_swims(rows: Sequence[Row]) -> Iterator[list[str]]:
     """Of each kind, without and with hidden effects: intervals that hold, errors, widths."""
-    for kind, (hides, true, best, centre, _, low, high) in by_kind(rows).items():
-        unit = 1e-3 if kind.endswith("_s") else true / 100
-        for hidden in (0, 1):
-            of = hides == hidden
-            held = ((low <= true) & (true <= high))[of]
-            sizes = [
-                np.median((np.abs(x) / unit)[of]) for x in (best - true, centre - true, high - low)
-            ]
-            yield [kind, "yes" if hidden else "no", f"{held.sum()} of {held.size}",
-                   *(f"{size:.2f}" for size in sizes)]  # fmt: skip
-
-
-def learn(rows: Sequence[Row]) -> None:
-    """Write the least sd of each kind, beside what a fit states, with which 90 % hold the truth."""
-    content, found = json.loads(FILE.read_text()), {}
-    for kind, (_, true, best, centre, variance, _, _) in by_kind(rows).items():
-        unit = true if kind in RELATIVE else 1.0
-        variance = variance - (LAW_ERROR.unexplained.get(kind, 0.0) * unit) ** 2
-        for size in np.geomspace(1e-4, 1.0, 200):
-            reach = 1.645 * np.sqrt(variance + (size * unit) ** 2)
-            low, high = np.minimum(centre - reach, best), np.maximum(centre + reach, best)
-            if np.mean((low <= true) & (true <= high)) >= 0.9:
-                break
-        found[kind] = round(float(size), 5)
-    write_json(FILE, content | {"unexplained": found})
+    for kind, hidden in product((LATENCY, KP, KD), (False, True)):
+        found = np.array(
+            [[row["truth"][name], *row["calibrate"][name]]
+             for row in rows if bool(row["hidden"]) == hidden
+             for name in row["truth"] if name.endswith(kind)]
+        ).reshape(-1, 5)  # fmt: skip
+        true, best, centre, low, high = found.T
+        unit = 1e-3 if kind == LATENCY else true / 100
+        held = (low <= true) & (true <= high)
+        sizes = (np.median(np.abs(x) / unit) for x in (best - true, centre - true, high - low))
+        numbers = (f"{size:.2f}" for size in sizes)
+        yield [kind, "yes" if hidden else "no", f"{held.sum()} of {held.size}", *numbers]
 
 
 def of_swims(options: Namespace) -> None:
@@ -254,8 +227,6 @@ def of_swims(options: Namespace) -> None:
     rows += kept(options.out, found) if options.out else found
     header = ("parameter", "hidden", "holds", "error", "error of the centre", "width in ms or %")
     print(table(header, rows_of_swims(rows)))
-    if options.learn:
-        learn(rows)
 
 
 def main() -> None:
@@ -263,7 +234,7 @@ def main() -> None:
     options = command_line(
         __doc__, cases=(67, "servos of each plant"), seed=1, processes=2, out=Path,
         no_posterior=(False, "identify alone"), steps=(2000, "of the chains"),
-        swims=(0, "number, in place of servos"), learn=(False, "from these swims"),
+        swims=(0, "number, in place of servos"),
     ).parse_args()  # fmt: skip
     if options.swims:
         return of_swims(options)

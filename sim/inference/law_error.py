@@ -8,12 +8,12 @@ robot, from its reference swims.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from sim.inference.coordinates import Column, Coordinates
+from sim.inference.coordinates import Coordinates
 from sim.inference.signal_error import BANDS, ROWS
 from sim.inference.swim_problem import Fit, SwimPrior, SwimProblem
 from sim.inference.swims import Swim, SwimSimulator
@@ -56,27 +56,23 @@ class LawError:
     shift: Mapping[str, float]  # mean over robots of their difference from the nominal coefficients
     # thresholds, and the weights of curves as ``curve: term``, by name
     decisions: Mapping[str, float]
-    # standard deviation by kind of the errors of servos' parameters that ``marginalised`` leaves
-    # unexplained, in development swims (``benchmarks/coverage.py``)
-    unexplained: Mapping[str, float] = field(default_factory=dict)
 
     def prior(self, coordinates: Coordinates) -> SwimPrior:
         """Prior of a swim of a robot without reference swims."""
         columns = coordinates.columns
-        imitation = sizes(self.imitated, columns, NEVER * coordinates.each("step"))
+
+        def sizes(table: Mapping[str, float], others: Array) -> Array:
+            """The size of each column; that of a gain is relative to its nominal value."""
+            known = [
+                table.get(c.kind, np.nan) * (abs(c.nominal) if c.kind in RELATIVE else 1.0)
+                for c in columns
+            ]
+            return np.where(np.isnan(known), others, known)
+
+        imitation = sizes(self.imitated, NEVER * coordinates.each("step"))
         mean = [self.usual.get(c.kind, c.nominal + self.shift.get(c.kind, 0.0)) for c in columns]
-        covariance = np.diag(np.square(sizes(self.unknown, columns, imitation)))
+        covariance = np.diag(np.square(sizes(self.unknown, imitation)))
         return SwimPrior(np.array(mean), covariance, imitation, self.shares)
-
-
-def sizes(
-    table: Mapping[str, float], columns: Sequence[Column], others: Array | float = 0.0
-) -> Array:
-    """The size of each column by its kind, (F,); that of a gain is relative to its value."""
-    known = [
-        table.get(c.kind, np.nan) * (abs(c.nominal) if c.kind in RELATIVE else 1.0) for c in columns
-    ]
-    return np.where(np.isnan(known), others, known)
 
 
 def read_law_error(path: Path = FILE) -> LawError:
@@ -84,9 +80,7 @@ def read_law_error(path: Path = FILE) -> LawError:
     content = read_json(path, SCHEMA)
     shares = [[content["shares"][row][band] for band in BANDS] for row in ROWS]
     names = ("imitated", "unknown", "usual", "shift", "decisions")
-    tables = {name: content[name] for name in names}
-    tables["unexplained"] = content.get("unexplained", {})
-    return LawError(np.array(shares, dtype=np.float64), **tables)
+    return LawError(np.array(shares, dtype=np.float64), *(content[name] for name in names))
 
 
 LAW_ERROR = read_law_error()
@@ -195,8 +189,14 @@ def marginalised(
     between = np.cov(points.T, aweights=shares, bias=True)
     within = [problem.covariance(members, fit) for members in sets]
     covariance = between + np.average(within, axis=0, weights=shares)
-    covariance += np.diag(sizes(law_error.unexplained, c.columns) ** 2)
     centre = np.average(points, axis=0, weights=shares)
+    # errors of the law imitate gains: those of swims are combined with those before the fit
+    gains = np.array([x.kind in RELATIVE for x in c.columns])
+    imitated, stated = np.diag(usual.covariance) * gains, c.each("prior_sd") ** 2
+    covariance += np.diag(imitated)
+    weight = np.where(gains, stated / (stated + np.diag(covariance)), 1.0)
+    centre = c.nominal + weight * (centre - c.nominal)
+    covariance *= np.sqrt(np.outer(weight, weight))
     return centre[: len(free)], covariance[: len(free), : len(free)]
 
 
