@@ -66,8 +66,9 @@ FLUID_SHARE = 0.2
 swimmer is up to 12 % too fast or too slow there, depending on the gait (``reports/resolution``)."""
 _FINEST = 1e-6
 """Least error of a signal in its unit, which limits its weight: the fit may be exact."""
-_OFF = 3.0
-"""Standard deviations from which a fitted value differs from what the swims say of it."""
+_OFF, _OFF_SHARE = 3.0, 0.05
+"""Standard deviations, and share of the value, by which it differs from the interval's centre if a
+warning says so."""
 
 
 @dataclass(frozen=True)
@@ -321,7 +322,8 @@ def _beside(fit: Calibrated, swims: Sequence[Swim], model: Model, robot: Robot) 
 def _calibration(calibration: Calibration) -> Section:
     twin = calibration.twin
     blocks = _tables(twin, "the twin", calibration.robot)
-    off = np.abs(twin.centre - twin.best) > _OFF * np.sqrt(np.diag(twin.covariance))
+    shift = np.abs(twin.centre - twin.best)
+    off = shift > np.maximum(_OFF * np.sqrt(np.diag(twin.covariance)), _OFF_SHARE * twin.best)
     if off.any():
         names = ", ".join(p.name for p, one in zip(twin.free, off, strict=True) if one)
         text = "the fitted values make up for gains that are held or for effects that are missing"
