@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.inference.coordinates import Coordinates
+from sim.inference.coordinates import LATENCY, Coordinates
 from sim.inference.signal_error import BANDS, ROWS
 from sim.inference.swim_problem import Fit, SwimPrior, SwimProblem
 from sim.inference.swims import Swim, SwimSimulator
@@ -190,10 +190,13 @@ def marginalised(
     within = [problem.covariance(members, fit) for members in sets]
     covariance = between + np.average(within, axis=0, weights=shares)
     centre = np.average(points, axis=0, weights=shares)
-    # errors of the law imitate gains: those of swims are combined with those before the fit
+    # the twin's error imitates gains, and latencies by the delay that it has in the joints' angles
     gains = np.array([x.kind in RELATIVE for x in c.columns])
-    imitated, stated = np.diag(usual.covariance) * gains, c.each("prior_sd") ** 2
+    late = np.array([x.kind == f"servo{LATENCY}" for x in c.columns])
+    imitated = np.diag(usual.covariance) * gains + late * law_error.imitated["error.late"] ** 2
     covariance += np.diag(imitated)
+    # gains that a swim shows are combined with those before the fit
+    stated = c.each("prior_sd") ** 2
     weight = np.where(gains, stated / (stated + np.diag(covariance)), 1.0)
     centre = c.nominal + weight * (centre - c.nominal)
     covariance *= np.sqrt(np.outer(weight, weight))
