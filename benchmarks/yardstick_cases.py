@@ -14,7 +14,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -172,6 +172,14 @@ def swim_truth(effects: Effects, servos: dict[str, Sequence[float]]) -> dict[str
 
 def twin_swims(out: Path) -> Iterator[Case]:
     """Swims of drawn robots in the twin, filmed by the camera of the pool."""
+    for k, kind in enumerate(SWIMS):
+        case = twin_swim(out / f"{k:02d}", (SEED, k), kind)
+        reference = ("--references", str(out / f"{k:02d}" / "ref.csv")) if k % 2 else ()
+        yield replace(case, options=(*case.options, *reference))
+
+
+def twin_swim(folder: Path, seed: Sequence[int], kind: str) -> Case:
+    """A swim of a drawn robot, and one without its effects, written where they are not yet."""
     sys.path.insert(0, str(POOL))
     from drawn import NOMINAL, SECONDS, case_of, command_of, robot_of, start_of
     from sealed import robot_toml
@@ -179,29 +187,26 @@ def twin_swims(out: Path) -> Iterator[Case]:
     from sim.robot.swimmer import CONTROL_S
     from sim2real.model import write_model
 
-    for k, kind in enumerate(SWIMS):
-        rng = np.random.default_rng([SEED, k])
-        folder, drawn = out / f"{k:02d}", robot_of(rng, f"robot {k}")
-        if kind in ("null", "single", "double"):
-            one = str(rng.choice([n for n in NOMINAL if not n.startswith("surface")]))
-            concealed = case_of(kind, one, rng, drawn.robot)
-        else:
-            concealed = case_of("outside", kind, rng, drawn.robot)
-        law = {n: x * float(np.exp(0.1 * rng.standard_normal())) for n, x in LAW.items()}
-        swims = {"a": concealed.effects, "ref": {}}
-        if not (folder / "model.json").exists():
-            folder.mkdir(parents=True, exist_ok=True)
-            (folder / "robot.toml").write_text(robot_toml(drawn))
-            for swim, effects in swims.items():
-                sent = command_of(rng, len(drawn.robot.joints), CONTROL_S, SECONDS)
-                start = start_of(rng, concealed)
-                write_swim(folder / f"{swim}.csv", drawn, law, effects, sent, start, rng)
-            write_model(drawn.model(), folder / "model.json")
-        options: tuple[str, ...] = ("--model", str(folder / "model.json"))
-        options += ("--references", str(folder / "ref.csv")) if k % 2 else ()
-        truth = swim_truth(concealed.effects, drawn.servos)
-        files, robot = (folder / "a.csv",), folder / "robot.toml"
-        yield Case(f"swim/{k:02d}", ("diagnose",), files, robot, (), options, truth)
+    rng = np.random.default_rng(seed)
+    drawn = robot_of(rng, f"robot {seed[-1]}")
+    if kind in ("null", "single", "double"):
+        one = str(rng.choice([n for n in NOMINAL if not n.startswith("surface")]))
+        concealed = case_of(kind, one, rng, drawn.robot)
+    else:
+        concealed = case_of("outside", kind, rng, drawn.robot)
+    law = {n: x * float(np.exp(0.1 * rng.standard_normal())) for n, x in LAW.items()}
+    if not (folder / "model.json").exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "robot.toml").write_text(robot_toml(drawn))
+        for swim, effects in {"a": concealed.effects, "ref": {}}.items():
+            sent = command_of(rng, len(drawn.robot.joints), CONTROL_S, SECONDS)
+            start = start_of(rng, concealed)
+            write_swim(folder / f"{swim}.csv", drawn, law, effects, sent, start, rng)
+        write_model(drawn.model(), folder / "model.json")
+    options = ("--model", str(folder / "model.json"))
+    truth = swim_truth(concealed.effects, drawn.servos)
+    files, robot = (folder / "a.csv",), folder / "robot.toml"
+    return Case(f"swim/{folder.name}", ("diagnose",), files, robot, (), options, truth)
 
 
 def write_swim(

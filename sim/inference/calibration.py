@@ -3,7 +3,8 @@
 Intervals take the larger one of two covariances: that of the normal model, and the sandwich of
 White, Econometrica 48 (1980) 817, with the scores of blocks of some seconds. In the fluid the shift
 of a parameter relative to cells of twice the size, its error if errors are of first order in the
-cell (Roache, J. Fluids Eng. 116 (1994) 405), is added to the intervals in quadrature.
+cell (Roache, J. Fluids Eng. 116 (1994) 405), is added to the intervals in quadrature. In the twin
+intervals of servos and drag areas have everything else marginalised (``law_error.marginalised``).
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from sim.inference.coordinates import (
     water_parameters,
 )
 from sim.inference.emulator import emulator
+from sim.inference.law_error import marginalised
 from sim.inference.swim_problem import SwimPrior, SwimProblem
 from sim.inference.swims import (
     FLUID_THREADS,
@@ -33,6 +35,7 @@ from sim.inference.swims import (
     Swim,
     SwimSimulator,
     by_fluid,
+    by_followed_twin,
     by_twin,
     names_in_files,
     of_swims,
@@ -40,6 +43,7 @@ from sim.inference.swims import (
     units_of,
     with_values,
 )
+from sim.twin.twin import SUBSTEPS
 from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
@@ -62,6 +66,9 @@ FLUID_SHARE = 0.2
 swimmer is up to 12 % too fast or too slow there, depending on the gait (``reports/resolution``)."""
 _FINEST = 1e-6
 """Least error of a signal in its unit, which limits its weight: the fit may be exact."""
+_OFF, _OFF_SHARE = 3.0, 0.05
+"""Standard deviations, and share of the value, by which it differs from the interval's centre if a
+warning says so."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +93,7 @@ class Calibrated:
     model: Model  # the calibrated model
     free: tuple[Parameter, ...]  # the F fitted parameters
     best: Array  # their values, shape (F,)
-    covariance: Array  # their covariance, shape (F, F)
+    covariance: Array  # covariance of their errors about ``centre``, shape (F, F)
     # held-out root mean square error of each signal, before and after, shape (2, 3 + J)
     rmse: Array
     train: Array  # likewise on the fitted part
@@ -94,12 +101,20 @@ class Calibrated:
     # shift of each parameter relative to cells of twice the size, shape (F,); None if that was not
     # requested, or such cells stop the robot
     grid: Array | None = None
+    # the parameters' means with everything else marginalised, shape (F,); None: ``best``
+    mean: Array | None = None
+
+    @property
+    def centre(self) -> Array:
+        """Centre of the intervals, shape (F,)."""
+        return self.best if self.mean is None else self.mean
 
     def interval(self, level: float = 0.9) -> Array:
-        """Central intervals with the errors of the fit and of the cells, shape (F, 2)."""
+        """Central intervals, wide enough to contain the fitted values, shape (F, 2)."""
         sd = np.sqrt(np.diag(self.covariance) + (0.0 if self.grid is None else self.grid**2))
         reach = float(norm.ppf(0.5 + level / 2)) * sd
-        return np.stack([self.best - reach, self.best + reach], axis=1)
+        low, high = self.centre - reach, self.centre + reach
+        return np.stack([np.minimum(low, self.best), np.maximum(high, self.best)], axis=1)
 
 
 def calibrate(
@@ -200,8 +215,13 @@ def _fit(
         of_blocks = np.add.reduceat(score.sum(axis=1), [a for a, _ in blocks.edges], axis=0)
         meat = meat + long_run(of_blocks, min(2, len(of_blocks)))
     covariance = normal @ meat @ normal
-    wider = np.sqrt(np.maximum(np.diag(normal) / np.diag(covariance), 1.0))
-    return c.model_at(x), x, covariance * np.outer(wider, wider)
+    return c.model_at(x), x, _widened(covariance, np.diag(normal))
+
+
+def _widened(covariance: Array, variance: Array) -> Array:
+    """A covariance (F, F) with at least these variances (F,) and the same correlations."""
+    wider = np.sqrt(np.maximum(variance / np.diag(covariance), 1.0))
+    return np.asarray(covariance * np.outer(wider, wider))
 
 
 def _errors(
@@ -268,6 +288,7 @@ def calibrate_body(
     """
     free = twin_parameters(model, robot, gains=fit_gains)
     twin = calibrate(swims, model, free, by_twin(robot), held_out=held_out)
+    twin = _beside(twin, [swim.first(1 - held_out) for swim in swims], model, robot)
     result = Calibration(_with_errors(twin, robot), model, robot, tuple(swims), twin)
     if fluid is None:
         return result
@@ -283,9 +304,30 @@ def calibrate_body(
     return replace(result, model=calibrated, in_fluid=in_fluid, fluid=fluid)
 
 
+def _beside(fit: Calibrated, swims: Sequence[Swim], model: Model, robot: Robot) -> Calibrated:
+    """The fit with intervals of servos and areas that allow for what it held and what is hidden.
+
+    Coefficients of the law keep theirs: they are those with which the twin swims, and not true.
+    """
+    # the twin as it is used later: larger sub-steps act as another latency and another damping
+    followed = by_followed_twin(robot, substeps=SUBSTEPS)
+    mean, covariance = marginalised(swims, model, robot, fit.free, fit.best, followed)
+    law = np.array([p.name.startswith("twin.") for p in fit.free])
+    mean = np.where(law, fit.best, mean)
+    variance = np.where(law, 0.0, np.diag(covariance))
+    return replace(fit, mean=mean, covariance=_widened(fit.covariance, variance))
+
+
 @result_section.register
 def _calibration(calibration: Calibration) -> Section:
-    blocks = _tables(calibration.twin, "the twin", calibration.robot)
+    twin = calibration.twin
+    blocks = _tables(twin, "the twin", calibration.robot)
+    shift = np.abs(twin.centre - twin.best)
+    off = shift > np.maximum(_OFF * np.sqrt(np.diag(twin.covariance)), _OFF_SHARE * twin.best)
+    if off.any():
+        names = ", ".join(p.name for p, one in zip(twin.free, off, strict=True) if one)
+        text = "the fitted values make up for gains that are held or for effects that are missing"
+        blocks.append(Note("warn", f"{names}: {text}; diagnose these swims"))
     if calibration.in_fluid is not None:
         where = f"the fluid, cells of {calibration.fluid.cell_m:g} m"
         blocks += _tables(calibration.in_fluid, where, calibration.robot)
@@ -334,8 +376,14 @@ def _with_errors(fit: Calibrated, robot: Robot, cell_m: float | None = None) -> 
     rows = zip(names_in_files(robot), figures, strict=True)
     errors = {name: dict(zip(keys, row, strict=True)) for name, row in rows}
     names = [p.name for p in fit.free]
-    posterior = {"cell_m": cell_m, "names": names, "mean": fit.best.tolist()}
+    posterior = {"cell_m": cell_m, "names": names, "mean": fit.centre.tolist()}
     posterior["covariance"] = fit.covariance.tolist()
     interval = dict(zip(names, fit.interval().tolist(), strict=True))
     body = {**fit.model.body, "interval": interval, "posterior": posterior}
-    return replace(fit.model, body=body, fit={**fit.model.fit, **errors})
+    joints = dict(fit.model.joints)
+    for name, (low, high) in zip(names, fit.interval(fit.model.interval_level), strict=True):
+        joint, _, kind = name.partition(".")
+        if joint in joints:  # those of a bench are not about the fitted value
+            ends = {kind: (max(float(low), 0.0), float(high))}
+            joints[joint] = replace(joints[joint], interval={**joints[joint].interval, **ends})
+    return replace(fit.model, joints=joints, body=body, fit={**fit.model.fit, **errors})

@@ -224,15 +224,25 @@ class Coordinates:
         object.__setattr__(self, "place", {c.name: k for k, c in enumerate(self.columns)})
 
     @classmethod
-    def of(cls, robot: Robot, model: Model) -> Coordinates:
-        """The columns of a diagnosis of a robot with these servos."""
+    def of(cls, robot: Robot, model: Model, free: Sequence[Parameter] = ()) -> Coordinates:
+        """The columns of a diagnosis of a robot with these servos.
+
+        The parameters that a calibration has ``free`` come first; effects of its model are known.
+        """
         law = law_parameters(Coefficients.of(model.body), LAW)
-        columns = _base([*servo_parameters(model, robot, gains=True), *law])
+        usual = [*servo_parameters(model, robot, gains=True), *law]
+        own = {p.name for p in free}
+        columns = _base([*free, *(p for p in usual if p.name not in own)])
         waters = model.body.get("water", {})
         columns += [Column(f"water.{n}", None, 0.0, -4.0, 4.0, 0.5) for n in WATER if n in waters]
-        effects = candidates(robot)
-        for effect, free in effects.items():
-            columns += [Column(p.name, effect, 0.0, *_limits(effect, free, p)) for p in free]
+        known = values(model).keys() if free else set()
+        effects = {
+            effect: some
+            for effect, some in candidates(robot).items()
+            if not known & {p.name for p in some}
+        }
+        for effect, some in effects.items():
+            columns += [Column(p.name, effect, 0.0, *_limits(effect, some, p)) for p in some]
         columns += [
             Column(name, (ERROR, "camera"), 0.0, -1.0, 1.0, 0.01, 0.0)
             for name in signal_error.names(len(robot.joints))

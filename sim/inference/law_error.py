@@ -1,4 +1,4 @@
-"""Measured error of the twin, which counts as noise in a diagnosis, and the thresholds.
+"""Measured error of the twin, which counts as noise in fits of swims, and the thresholds.
 
 The error of a twin that was calibrated on a robot's swims, on other swims of the same robot in
 which nothing is missing: ``benchmarks/pool_law_error.py``, ``benchmarks/pool_decisions.py``; of one
@@ -13,11 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.inference.coordinates import Coordinates
+from sim.inference.coordinates import LATENCY, Coordinates
 from sim.inference.signal_error import BANDS, ROWS
 from sim.inference.swim_problem import Fit, SwimPrior, SwimProblem
 from sim.inference.swims import Swim, SwimSimulator
 from sim2real.arrays import Array
+from sim2real.inference.parameters import Parameter
+from sim2real.inference.selection import Members
 from sim2real.model import Model
 from sim2real.robot import Robot
 from sim2real.structured import read_json
@@ -32,6 +34,8 @@ NEVER = 1e-3
 """Standard deviation of columns that the error does not imitate, in steps of derivatives."""
 _ERROR_LIMITS = (0.5, 6.0)
 """Limits of the mean square error of the twin for one robot, relative to the usual one."""
+_SETTLED = 0.5
+"""Change of the log-evidence by new derivatives below which ``marginalised`` ends."""
 _SCALES = (0.7, 0.85, 1.0, 1.2, 1.4, 1.7)
 """Scales of the variation between swims of a robot that are compared."""
 
@@ -150,3 +154,74 @@ def together(
     curvature = sum(n - n @ covariance @ n for (n, _), covariance in pairs)
     gradient = sum(g - n @ covariance @ g for (n, g), covariance in pairs)
     return np.asarray(curvature), np.asarray(gradient), covariances
+
+
+def marginalised(
+    swims: Sequence[Swim],
+    model: Model,
+    robot: Robot,
+    free: Sequence[Parameter],
+    best: Array,
+    simulate: SwimSimulator,
+    law_error: LawError = LAW_ERROR,
+) -> tuple[Array, Array]:
+    """Mean (F,) and covariance (F, F) of parameters that a calibration fitted as ``best`` (F,).
+
+    The gains, the coefficients of the law that a calibration holds and the error of the twin are
+    marginalised in a linear model, and sets of effects that the swims may hide are averaged by
+    their evidence (Hoeting, Madigan, Raftery and Volinsky, Statistical Science 14 (1999) 382).
+    """
+    c = Coordinates.of(robot, model, free)
+    usual = law_error.prior(c)
+    own = np.array([k < len(free) and x.kind not in RELATIVE for k, x in enumerate(c.columns)])
+    mean = np.where(own, c.nominal, usual.mean)
+    variance = np.where(own, c.each("prior_sd") ** 2, np.diag(usual.covariance))
+    prior = replace(usual, mean=mean, covariance=np.diag(variance))
+    problem = SwimProblem(c, swims, simulate, prior)
+    # a hidden effect misleads a fit without it, and the values before the fit may be far off
+    law = np.array([x.kind.startswith("twin.") for x in c.columns[: len(free)]])
+    others = problem.centre(frozenset())[len(free) :]
+    starts = np.where(law, best, c.nominal[: len(free)]), best
+    fits = [_converged(problem, np.concatenate([start, others])) for start in starts]
+    fit, sets = max(fits, key=lambda one: max(one[1].values()))
+    shares = np.exp(np.array(list(sets.values())) - max(sets.values()))
+    points = np.array([fit.x + problem.seems(members, fit) for members in sets])
+    between = np.cov(points.T, aweights=shares, bias=True)
+    within = [problem.covariance(members, fit) for members in sets]
+    covariance = between + np.average(within, axis=0, weights=shares)
+    centre = np.average(points, axis=0, weights=shares)
+    # the twin's error imitates gains, and latencies by the delay that it has in the joints' angles
+    gains = np.array([x.kind in RELATIVE for x in c.columns])
+    late = np.array([x.kind == f"servo{LATENCY}" for x in c.columns])
+    imitated = np.diag(usual.covariance) * gains + late * law_error.imitated["error.late"] ** 2
+    covariance += np.diag(imitated)
+    # gains that a swim shows are combined with those before the fit
+    stated = c.each("prior_sd") ** 2
+    weight = np.where(gains, stated / (stated + np.diag(covariance)), 1.0)
+    centre = c.nominal + weight * (centre - c.nominal)
+    covariance *= np.sqrt(np.outer(weight, weight))
+    return centre[: len(free)], covariance[: len(free), : len(free)]
+
+
+def _converged(problem: SwimProblem, x: Array, rounds: int = 6) -> tuple[Fit, dict[Members, float]]:
+    """The fit of the best set from a point (F,), and the evidence of the sets near it."""
+    fit = problem.at(x)
+    sets = _promising(problem, fit)
+    for _ in range(rounds):
+        likely = max(sets, key=lambda members: sets[members])
+        before, fit = sets[likely], problem.refined(likely, fit, fit).fit
+        sets = _promising(problem, fit)
+        if abs(max(sets.values()) - before) < _SETTLED:
+            break
+    return fit, sets
+
+
+def _promising(problem: SwimProblem, fit: Fit, most: int = 3) -> dict[Members, float]:
+    """Evidence of sets of effects near a fit: none, and every effect added to the best set."""
+    best: Members = frozenset()
+    evidence = {best: problem.evidence(best, fit)}
+    for _ in range(most):
+        larger = {best | {e} for e in problem.coordinates.effects.keys() - best}
+        evidence |= {members: problem.evidence(members, fit) for members in larger}
+        best = max(sorted(larger, key=sorted), key=lambda members: evidence[members])
+    return evidence
