@@ -1,0 +1,294 @@
+"""Servos whose answer is known, diagnosed: writes the page ``reports/known_answers``.
+
+    python -m benchmarks.known_answers                   # cases not answered yet, then the page
+    python -m benchmarks.known_answers --only missing/emps --again
+    python -m benchmarks.known_answers --shared FOLDER   # that has realdata and cases
+
+Each case of ``known_answers.toml`` is one call of ``sim2real.diagnose`` and one of ``identify`` on
+some recordings, and a ``predict`` of a motion that neither has seen; then it is compared with what
+is known. Answers and drawings are kept in ``build/known_answers``, the numbers of the page, without
+samples of a recording, in ``reports/known_answers``. A case whose folder is absent is skipped.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from benchmarks.harness import ROOT, command_line, table
+from benchmarks.real_servos import emps_drive
+from benchmarks.yardstick import rounded
+from benchmarks.yardstick_cases import SHARED
+from sim2real import diagnose, identify, predict
+from sim2real.arrays import Array, Mask
+from sim2real.diagnose.result import percent
+from sim2real.effects import plain
+from sim2real.errors import InputError
+from sim2real.output import provenance, write_json, write_whole
+from sim2real.readings import wrong_readings
+from sim2real.recording import Recording, read_commands, read_recording
+from sim2real.report.drawing import svg
+from sim2real.report.page import Figure, Note, Section, Table, write_page
+from sim2real.report.style import ACCENT, FAINT, INK, MUTED, RULE, house_style, new_figure
+from sim2real.units import readable, readable_name
+
+REPORT = ROOT / "reports" / "known_answers"
+BUILD = ROOT / "build" / "known_answers"
+DRAWN_S, DRAWN_POINTS = 3.0, 300
+ANSWERS = ("right", "group", "in part", "silent", "wrong", "refused")
+COUNTED = ("", "cases", *ANSWERS)
+TABLE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text())
+PAGE, KINDS = TABLE.pop("page"), TABLE.pop("kinds")
+
+
+@dataclass(frozen=True)
+class Known:
+    """A case of the table, whose comments explain the fields."""
+
+    title: str
+    truth: str
+    folder: Path
+    given: str
+    references: str = ""
+    unseen: str = ""
+    measured: str = ""
+    again: str = ""
+    robot: str = "robot.toml"
+    joint: str = "j1"
+    effects: Sequence[str] = ()
+    also: Sequence[str] = ()
+    sizes: Mapping[str, float] = field(default_factory=dict)
+
+    def read(self, name: str) -> Recording:
+        """A recording as of somebody who knows neither the gain nor the new load."""
+        if name == "emps":
+            return emps_drive(self.folder)[0]
+        read = read_recording(self.folder / f"{name}.csv")
+        kept = {k: v for k, v in read.metadata.items() if k != "firmware_p_gain"}
+        first = next(iter(sorted(self.folder.glob(f"{self.references}.csv"))), read.path)
+        return replace(read, metadata=kept, loads=read_recording(first).loads)
+
+    def recordings(self, pattern: str) -> list[Recording]:
+        """What the verbs are given: three quarters of a recording, or all but the unseen motion."""
+        if pattern and pattern == self.unseen:
+            whole = self.read(pattern)
+            return [whole.between(0, 3 * whole.t.size // 4)]
+        names = (path.stem for path in sorted(self.folder.glob(f"{pattern}.json")))
+        return [self.read(name) for name in names if name != self.unseen]
+
+    def motion(self) -> tuple[Recording, Mask, float | None]:
+        """The unseen motion, which samples are scored, and what two runs differ by, mrad."""
+        if self.measured:
+            sent = read_commands(self.folder / f"{self.unseen}.csv")
+            data = pd.read_csv(self.folder / f"{self.measured}.csv")
+            angles = data[[f"{j}.position_rad" for j in sent.joints]].to_numpy()
+            noise = data[f"{self.joint}.position_rad"] - data[f"{self.joint}.clean_rad"]
+            return replace(sent, position=angles), np.isfinite(sent.t), mean_mrad(noise)
+        whole = self.read(self.unseen)
+        on = np.arange(whole.t.size) < whole.powered(whole.joints.index(self.joint))
+        if self.given == self.unseen:
+            on &= np.arange(whole.t.size) >= 3 * whole.t.size // 4
+        if not self.again:
+            return whole, on, None
+        other = self.read(self.again)
+        again = np.interp(whole.t, other.t, cleaned(other.position[:, 0]))
+        return whole, on, mean_mrad((again - cleaned(whole.position[:, 0]))[on])
+
+
+def cleaned(angle: Array) -> Array:
+    """Angles (T,) without single readings that are far from their neighbours."""
+    return np.where(wrong_readings(angle), np.nan, angle)
+
+
+def mean_mrad(angle: Array) -> float:
+    """Mean absolute value of angles in rad, in mrad."""
+    return 1e3 * float(np.nanmean(np.abs(angle)))
+
+
+def answered(case: Known) -> dict[str, Any]:
+    """The answer to a case, judged, and the drawing of the unseen motion."""
+    row: dict[str, Any] = {"title": case.title, "truth": case.truth, "named": [], "false": 0.0}
+    robot: Any = emps_drive(case.folder)[1] if case.given == "emps" else case.folder / case.robot
+    given, references = case.recordings(case.given), case.recordings(case.references)
+    try:
+        found = diagnose(given, robot, references=references)
+        fitted = identify(references or given, robot)
+    except InputError as error:
+        return row | {"answer": "refused", "verdict": str(error).replace(f"{case.folder}/", "")}
+    for effect in found.effects:
+        group = [f"{effect.component} {e}" for e in effect.group or (effect.effect,)]
+        sizes = {f"{group[0]}.{n}": [x.mean, x.q05, x.q95] for n, x in effect.parameters.items()}
+        sizes = {name: [*x, case.sizes[name]] for name, x in sizes.items() if name in case.sizes}
+        row["named"].append({"group": group, "probability": effect.probability, "sizes": sizes})
+    row |= {"verdict": found.verdict, "said": str(found).splitlines()}
+    row["answer"] = judged(case, row)
+    if case.unseen:
+        models = {"plain": found.baseline, "identify": fitted, "diagnosis": found.model}
+        motion, on, floor = case.motion()
+        j = motion.joints.index(case.joint)
+        sent = replace(motion, position=np.full_like(motion.position, np.nan))
+        angles = {n: predict(sent, None, m).angles[0][on, j] for n, m in models.items() if m}
+        measured = cleaned(motion.position[on, j])
+        noise = found.baseline_fit[f"{case.joint}.position_rad"]["noise"] or 0.0
+        row["errors"] = {name: mean_mrad(angle - measured) for name, angle in angles.items()}
+        row["errors"]["floor"] = 1e3 * np.sqrt(2 / np.pi) * noise if floor is None else floor
+        row["svg"] = drawn(case.title, motion.t[on], measured, angles, row["errors"]["floor"])
+    return rounded(row)
+
+
+def judged(case: Known, row: dict[str, Any]) -> str:
+    """One of ``ANSWERS``; notes the largest probability of a name that is not known to be true."""
+    groups, true = [set(one["group"]) for one in row["named"]], {*case.effects, *case.also}
+    odds = [one["probability"] for one in row["named"] if not true & set(one["group"])]
+    row["false"] = max(odds, default=0.0)
+    if odds or (not case.effects and row["verdict"] == "unexplained"):
+        return "wrong"
+    if not groups:
+        return "silent" if case.effects else "right"
+    if not set(case.effects) <= set().union(*groups):
+        return "in part"
+    return "group" if any(len(group) > 1 for group in groups) else "right"
+
+
+def drawn(title: str, t: Array, measured: Array, angles: dict[str, Array], floor: float) -> str:
+    """Angles and errors, side by side, of the seconds in which the plain servo is worst."""
+    total = np.nancumsum(np.abs(angles["plain"] - measured))
+    ends = np.searchsorted(t, t + DRAWN_S).clip(max=t.size - 1)
+    first = int(np.argmax((total[ends] - total) * (t <= max(t[0], t[-1] - DRAWN_S))))
+    shown = slice(first, ends[first] + 1, max(1, (ends[first] - first) // DRAWN_POINTS))
+    looks = {"plain": (INK, "--", "plain servo"), "diagnosis": (ACCENT, "-", "as diagnosed")}
+    with house_style():
+        figure = new_figure(200, f"{title}: an unseen motion, measured and simulated")
+        angle, error = figure.subplots(1, 2)
+        angle.plot(t[shown], measured[shown], color=FAINT, linewidth=4, label="measured")
+        error.axhspan(-floor, floor, color=RULE, linewidth=0)
+        for name, (colour, dashes, label) in looks.items():
+            off, look = angles[name] - measured, {"color": colour, "linewidth": 1.2, "label": label}
+            angle.plot(t[shown], angles[name][shown], dashes, **look)
+            error.plot(t[shown], 1e3 * off[shown], dashes, **look)
+        angle.set(title="angle, rad", xlabel="time, s")
+        error.set(title="simulated − measured, mrad", xlabel="time, s")
+        figure.legend(*angle.get_legend_handles_labels(), loc="outside upper right", ncols=3)
+    return svg(figure)
+
+
+def overview(rows: dict[str, Any]) -> str:
+    """Errors before and after of all cases on one logarithmic axis."""
+    shown = [(row["title"], row["errors"]) for row in rows.values() if "errors" in row]
+    with house_style():
+        figure = new_figure(70 + 17 * len(shown), "errors on unseen motions, before and after")
+        axes = figure.subplots()
+        y = np.arange(len(shown))
+        before, _, after, floor = zip(*(errors.values() for _, errors in shown), strict=True)
+        axes.hlines(y, before, after, FAINT, linewidth=1)
+        axes.plot(before, y, "o", color=INK, markerfacecolor="none", markersize=6)
+        axes.plot(after, y, "o", color=ACCENT, markersize=5)
+        axes.plot(floor, y, "|", color=MUTED, markersize=9)
+        axes.set_yticks(y, [title for title, _ in shown], size=9)
+        axes.set(xscale="log", ylim=(len(shown) - 0.3, -0.7), title="mean absolute error, mrad")
+        axes.xaxis.set_major_formatter("{x:g}")
+    return svg(figure)
+
+
+def said(row: dict[str, Any]) -> str:
+    """What was named with its probability, and below it the sizes that are known."""
+    words, sizes = [], []
+    for one in row["named"]:
+        parts = [name.split(maxsplit=1) for name in one["group"]]
+        place = f"{parts[0][0]}: " if parts[0][0] not in ("j1", "pan") else ""
+        kinds = " or ".join(plain(effect) for _, effect in parts)
+        words.append(f"{place}{kinds}, {percent(one['probability'])}")
+        for name, values in one["sizes"].items():
+            ratio = name.endswith((" kp.ratio", " load.ratio"))
+            texts = [f"{x:.3g}" if ratio else readable(name, x) for x in values]
+            texts.insert(0, readable_name(name.rpartition(".")[2]))
+            sizes.append("{} {} ({} to {}), true {}".format(*texts))
+    below = sizes if words else [row["verdict"].replace("_", " ")]
+    return "; ".join(words or ["–"]) + "\n" + "; ".join(below)
+
+
+def counts(rows: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Answers by kind of case, and of all."""
+    lines = []
+    for kind in (*KINDS, ""):
+        of = Counter(row["answer"] for name, row in rows.items() if name.startswith(kind))
+        heading = KINDS[kind]["title"] if kind else "all"
+        lines.append((heading, str(of.total()), *(str(of[answer]) for answer in ANSWERS)))
+    return lines
+
+
+def summary(rows: dict[str, Any]) -> str:
+    """What the cases say together, in sentences."""
+    of = Counter(row["answer"] for row in rows.values())
+    sure = sum(row["false"] >= 0.9 for row in rows.values())
+    sizes = [x for row in rows.values() for one in row["named"] for x in one["sizes"].values()]
+    inside = sum(low <= true <= high for _, low, high, true in sizes)
+    errors = [row["errors"] for row in rows.values() if "errors" in row]
+    ratios = [np.median([x[k] / x["floor"] for x in errors]) for k in ("plain", "diagnosis")]
+    told = ", ".join(f"{of[answer]} {answer}" for answer in ANSWERS if of[answer])
+    return (
+        f"{len(rows)} cases: {told}; a wrong name is given at 90 % or more in {sure}. Of "
+        f"{len(sizes)} known sizes {inside} are within their 90 % intervals. On {len(errors)} "
+        f"motions that no fit saw, the error of the plain servo is {ratios[0]:.1f} times the "
+        f"floor, that of the diagnosis {ratios[1]:.1f} times (medians)."
+    )
+
+
+def sections(rows: dict[str, Any]) -> list[Section]:
+    """The page: counts, what they prove, and the cases by kind."""
+    counted = Table(COUNTED, counts(rows), PAGE["answers"])
+    page = [
+        Section("In short", summary(rows), [counted, Figure(overview(rows), PAGE["overview"])]),
+        Section(PAGE["limits"], "", [Note("info", x) for x in PAGE["proves"]]),
+    ]
+    for kind, of in KINDS.items():
+        some = {name: row for name, row in rows.items() if name.startswith(kind)}
+        cells = [(r["title"], r["truth"], said(r), r["answer"]) for r in some.values()]
+        scored = {name: row for name, row in some.items() if "errors" in row}
+        errors = [
+            (r["title"], *map("{:.3g}".format, r["errors"].values())) for r in scored.values()
+        ]
+        models = ("", "plain servo", "identify", "diagnosis", "floor")
+        blocks = [Table(("case", "known", "named", "answer"), cells)]
+        blocks += [Table(models, errors, PAGE["errors"])] if errors else []
+        blocks += [Figure(r["svg"], f"{r['title']}. {PAGE['run']} {n}") for n, r in scored.items()]
+        page += [Section(of["title"], of["lead"], blocks)] if cells else []
+    return page
+
+
+def main() -> None:
+    """Answer the cases that are not stored, write numbers, page and README."""
+    options = command_line(__doc__, shared=SHARED, only="", again=False).parse_args()
+    rows: dict[str, Any] = {}
+    for name, of in ((f"{kind}/{n}", of) for kind in KINDS for n, of in TABLE[kind].items()):
+        case = Known(**of | {"folder": options.shared / of["folder"]})
+        file = BUILD / f"{name}.json"
+        if not case.folder.is_dir():
+            print(f"{name}: skipped, there is no {case.folder}")
+        elif options.only in name and (options.again or not file.exists()):
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_json(file, answered(case))
+        if file.exists():
+            rows[name] = json.loads(file.read_text())
+            print(name, rows[name]["answer"], said(rows[name]), rows[name].get("errors"))
+    if not any("errors" in row for row in rows.values()):
+        raise SystemExit("no motion was predicted: no page")
+    numbers = {n: {k: x for k, x in row.items() if k != "svg"} for n, row in rows.items()}
+    write_json(REPORT / "known_answers.json", numbers)
+    title, about, made = PAGE["title"], PAGE["subtitle"], provenance([], 0)
+    write_page(REPORT / "index.html", title, about, sections(rows), made)
+    words = PAGE | {"summary": summary(rows), "counts": table(COUNTED, counts(rows))}
+    words["proves"] = "\n".join(f"- {sentence}" for sentence in PAGE["proves"])
+    write_whole(REPORT / "README.md", PAGE["readme"].format(**words))
+
+
+if __name__ == "__main__":
+    main()
