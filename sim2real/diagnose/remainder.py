@@ -1,0 +1,85 @@
+"""In which part of a joint's motion the error is that a model leaves, how much, what to record.
+
+Of some parts of the motion (near reversals, fast, slow, at rest, one direction, far from the
+set-point, early) that one is told whose share of the squared error differs most from its share of
+the time, by the relative entropy of the two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from sim2real.arrays import Array, Mask
+from sim2real.servo.linearised import smooth_speed
+from sim2real.servo.trace import Trace
+from sim2real.units import three_digits
+
+_QUANTILES = (0.5, 0.75, 0.9)
+_REST = 0.03
+"""Speed below which a joint rests, relative to its fastest 1 %."""
+
+
+def remainder(
+    traces: Sequence[Trace], residuals: Array, noise: float, *, least: float = 0.1
+) -> str:
+    """A sentence on residuals in rad, shape (R, T); empty if no part has more than its share.
+
+    ``noise`` is the sensor's standard deviation at rest, rad, and ``least`` the relative entropy
+    from which a part is told, that of 72 % of the squared error in half of the time.
+    """
+    pairs = list(zip(traces, residuals, strict=False))
+    square = np.concatenate([trace.standardised(x[: trace.t.size]) ** 2 for trace, x in pairs])
+    used = np.concatenate([trace.used for trace in traces]) & np.isfinite(square)
+    if not used.any() or square[used].mean() <= noise**2:
+        return ""
+    found = []
+    for words, mask, advice in _parts(traces):
+        time = float(mask[used].mean())
+        share = float(square[used & mask].sum() / square[used].sum())
+        if share > time > 0:
+            found.append((_entropy(share, time), share, time, words, advice))
+    entropy, share, time, words, advice = max(found, default=(0.0, 0.0, 0.0, "", ""))
+    if entropy < least:
+        return ""
+    of = f"{100 * share:.0f} % of the squared error that remains is {words}"
+    return f"{of}, in {100 * time:.0f} % of the time. {advice} to learn more."
+
+
+def _entropy(p: float, q: float) -> float:
+    """Relative entropy of two shares and their complements."""
+    rest = (1 - p) * np.log((1 - p) / (1 - q)) if p < 1 else 0.0
+    return float(p * np.log(p / q) + rest)
+
+
+def _parts(traces: Sequence[Trace]) -> Iterator[tuple[str, Mask, str]]:
+    """Parts of the motion: words, samples of all recordings, and what to record."""
+    speeds = [smooth_speed(trace.t, trace.measured) for trace in traces]
+    speed = np.concatenate(speeds)
+    rest = _REST * float(np.quantile(np.abs(speed), 0.99))
+    yield "at rest", np.abs(speed) <= rest, "Record longer holds, reached from both sides,"
+    pairs = zip(traces, speeds, strict=True)
+    reversal = np.concatenate([_after_reversals(trace.t, v, rest) for trace, v in pairs])
+    yield "up to 0.2 s after reversals", reversal, "Record slow reversals of several amplitudes"
+    for words, mask in (("forwards", speed > rest), ("backwards", speed < -rest)):
+        yield f"while turning {words}", mask, "Record the same motion mirrored"
+    early = np.concatenate([trace.t - trace.t[0] < 1.0 for trace in traces])
+    yield "in the first second", early, "Record the start from rest several times"
+    error = np.abs(np.concatenate([trace.command - trace.measured for trace in traces]))
+    for x in np.nanquantile(error, _QUANTILES):
+        words = f"where the angle is more than {three_digits(float(x))} rad from its set-point"
+        yield words, error > x, "Record steps of several sizes"
+    for x in np.quantile(np.abs(speed[np.abs(speed) > rest]), _QUANTILES):
+        words = f"{three_digits(float(x))} rad/s"
+        yield f"at speeds above {words}", np.abs(speed) > x, "Record ramps of several high speeds"
+        slow = (np.abs(speed) > rest) & (np.abs(speed) <= x)
+        yield f"at speeds below {words}", slow, "Record ramps of several low speeds"
+
+
+def _after_reversals(t: Array, speed: Array, rest: float, *, within_s: float = 0.2) -> Mask:
+    """Whether a sample is at most so long after the joint began to turn the other way."""
+    moving = np.flatnonzero(np.abs(speed) > rest)
+    turned = moving[1:][np.diff(np.sign(speed[moving])) != 0]
+    since = t - np.concatenate([[-np.inf], t[turned]])[np.searchsorted(t[turned], t, side="right")]
+    return np.asarray(since <= within_s)
