@@ -16,10 +16,6 @@ from sim2real.servo.linearised import smooth_speed
 from sim2real.servo.trace import Trace
 from sim2real.units import three_digits
 
-_QUANTILES = (0.5, 0.75, 0.9)
-_REST = 0.03
-"""Speed below which a joint rests, relative to its fastest 1 %."""
-
 
 def remainder(
     traces: Sequence[Trace], residuals: Array, noise: float, *, least: float = 0.1
@@ -53,11 +49,16 @@ def _entropy(p: float, q: float) -> float:
     return float(p * np.log(p / q) + rest)
 
 
-def _parts(traces: Sequence[Trace]) -> Iterator[tuple[str, Mask, str]]:
-    """Parts of the motion: words, samples of all recordings, and what to record."""
+def _parts(
+    traces: Sequence[Trace], *, slowest: float = 0.03, levels: Sequence[float] = (0.5, 0.75, 0.9)
+) -> Iterator[tuple[str, Mask, str]]:
+    """Parts of the motion: words, samples of all recordings, and what to record.
+
+    A joint rests below the share ``slowest`` of its fastest speeds; ``levels`` are quantiles.
+    """
     speeds = [smooth_speed(trace.t, trace.measured) for trace in traces]
     speed = np.concatenate(speeds)
-    rest = _REST * float(np.quantile(np.abs(speed), 0.99))
+    rest = slowest * float(np.quantile(np.abs(speed), 0.99))
     yield "at rest", np.abs(speed) <= rest, "Record longer holds, reached from both sides,"
     pairs = zip(traces, speeds, strict=True)
     reversal = np.concatenate([_after_reversals(trace.t, v, rest) for trace, v in pairs])
@@ -67,10 +68,10 @@ def _parts(traces: Sequence[Trace]) -> Iterator[tuple[str, Mask, str]]:
     early = np.concatenate([trace.t - trace.t[0] < 1.0 for trace in traces])
     yield "in the first second", early, "Record the start from rest several times"
     error = np.abs(np.concatenate([trace.command - trace.measured for trace in traces]))
-    for x in np.nanquantile(error, _QUANTILES):
+    for x in np.nanquantile(error, levels):
         words = f"where the angle is more than {three_digits(float(x))} rad from its set-point"
         yield words, error > x, "Record steps of several sizes"
-    for x in np.quantile(np.abs(speed[np.abs(speed) > rest]), _QUANTILES):
+    for x in np.quantile(np.abs(speed[np.abs(speed) > rest]), levels):
         words = f"{three_digits(float(x))} rad/s"
         yield f"at speeds above {words}", np.abs(speed) > x, "Record ramps of several high speeds"
         slow = (np.abs(speed) > rest) & (np.abs(speed) <= x)
