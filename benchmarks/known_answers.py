@@ -114,22 +114,20 @@ def mean_mrad(angle: Array) -> float:
 
 
 def answered(case: Known) -> dict[str, Any]:
-    """The answer to a case, judged, and the drawing of the unseen motion."""
-    row: dict[str, Any] = {"title": case.title, "truth": case.truth, "named": [], "false": 0.0}
+    """What the library says of a case, and the errors and the drawing of the unseen motion."""
     robot: Any = emps_drive(case.folder)[1] if case.given == "emps" else case.folder / case.robot
     given, references = case.recordings(case.given), case.recordings(case.references)
+    row: dict[str, Any] = {"verdict": "refused", "named": []}
     try:
         found = diagnose(given, robot, references=references)
         fitted = identify(references or given, robot)
     except InputError as error:
-        return row | {"answer": "refused", "verdict": str(error).replace(f"{case.folder}/", "")}
+        return row | {"said": [str(error).replace(f"{case.folder}/", "")]}
+    row |= {"verdict": found.verdict, "said": str(found).splitlines()}
     for effect in found.effects:
         group = [f"{effect.component} {e}" for e in effect.group or (effect.effect,)]
         sizes = {f"{group[0]}.{n}": [x.mean, x.q05, x.q95] for n, x in effect.parameters.items()}
-        sizes = {name: [*x, case.sizes[name]] for name, x in sizes.items() if name in case.sizes}
         row["named"].append({"group": group, "probability": effect.probability, "sizes": sizes})
-    row |= {"verdict": found.verdict, "said": str(found).splitlines()}
-    row["answer"] = judged(case, row)
     if case.unseen:
         models = {"plain": found.baseline, "identify": fitted, "diagnosis": found.model}
         motion, on, floor = case.motion()
@@ -144,18 +142,25 @@ def answered(case: Known) -> dict[str, Any]:
     return rounded(row)
 
 
-def judged(case: Known, row: dict[str, Any]) -> str:
-    """One of ``ANSWERS``; notes the largest probability of a name that is not known to be true."""
+def judged(case: Known, row: dict[str, Any]) -> dict[str, Any]:
+    """The row with what is known: true sizes, the answer, its most probable wrong name."""
     groups, true = [set(one["group"]) for one in row["named"]], {*case.effects, *case.also}
     odds = [one["probability"] for one in row["named"] if not true & set(one["group"])]
-    row["false"] = max(odds, default=0.0)
+    for one in row["named"]:
+        found = one["sizes"].items()
+        one["sizes"] = {n: [*x[:3], case.sizes[n]] for n, x in found if n in case.sizes}
     if odds or (not case.effects and row["verdict"] == "unexplained"):
-        return "wrong"
-    if not groups:
-        return "silent" if case.effects else "right"
-    if not set(case.effects) <= set().union(*groups):
-        return "in part"
-    return "group" if any(len(group) > 1 for group in groups) else "right"
+        answer = "wrong"
+    elif row["verdict"] == "refused":
+        answer = "refused"
+    elif not groups:
+        answer = "silent" if case.effects else "right"
+    elif not set(case.effects) <= set().union(*groups):
+        answer = "in part"
+    else:
+        answer = "group" if any(len(group) > 1 for group in groups) else "right"
+    known = {"title": case.title, "truth": case.truth, "answer": answer}
+    return row | known | {"false": max(odds, default=0.0)}
 
 
 def drawn(title: str, t: Array, measured: Array, angles: dict[str, Array], floor: float) -> str:
@@ -277,7 +282,7 @@ def main() -> None:
             file.parent.mkdir(parents=True, exist_ok=True)
             write_json(file, answered(case))
         if file.exists():
-            rows[name] = json.loads(file.read_text())
+            rows[name] = judged(case, json.loads(file.read_text()))
             print(name, rows[name]["answer"], said(rows[name]), rows[name].get("errors"))
     if not any("errors" in row for row in rows.values()):
         raise SystemExit("no motion was predicted: no page")
