@@ -20,26 +20,27 @@ from sim2real.units import three_digits
 def remainder(
     traces: Sequence[Trace], residuals: Array, noise: float, *, least: float = 0.1
 ) -> str:
-    """A sentence on residuals in rad, shape (R, T); empty if no part has more than its share.
+    """A sentence on residuals in rad, shape (R, T), beyond a noise of this standard deviation, rad.
 
-    ``noise`` is the sensor's standard deviation at rest, rad, and ``least`` the relative entropy
-    from which a part is told, that of 72 % of the squared error in half of the time.
+    ``least`` is the relative entropy from which a part is told: 72 % of the squared error in half
+    of the time have it.
     """
     pairs = list(zip(traces, residuals, strict=False))
     square = np.concatenate([trace.standardised(x[: trace.t.size]) ** 2 for trace, x in pairs])
+    square -= noise**2
     used = np.concatenate([trace.used for trace in traces]) & np.isfinite(square)
-    if not used.any() or square[used].mean() <= noise**2:
+    if not square[used].sum() > 0:
         return ""
     found = []
     for words, mask, advice in _parts(traces):
         time = float(mask[used].mean())
-        share = float(square[used & mask].sum() / square[used].sum())
+        share = min(float(square[used & mask].sum() / square[used].sum()), 1.0)
         if share > time > 0:
             found.append((_entropy(share, time), share, time, words, advice))
     entropy, share, time, words, advice = max(found, default=(0.0, 0.0, 0.0, "", ""))
     if entropy < least:
-        return ""
-    of = f"{100 * share:.0f} % of the squared error that remains is {words}"
+        return "The error that remains is spread over the whole motion."
+    of = f"{100 * share:.0f} % of the squared error that remains beyond the noise is {words}"
     return f"{of}, in {100 * time:.0f} % of the time. {advice} to learn more."
 
 
@@ -61,8 +62,8 @@ def _parts(
     rest = slowest * float(np.quantile(np.abs(speed), 0.99))
     yield "at rest", np.abs(speed) <= rest, "Record longer holds, reached from both sides,"
     pairs = zip(traces, speeds, strict=True)
-    reversal = np.concatenate([_after_reversals(trace.t, v, rest) for trace, v in pairs])
-    yield "up to 0.2 s after reversals", reversal, "Record slow reversals of several amplitudes"
+    reversal = np.concatenate([_near_reversals(trace.t, v, rest) for trace, v in pairs])
+    yield "near reversals", reversal, "Record slow reversals of several amplitudes"
     for words, mask in (("forwards", speed > rest), ("backwards", speed < -rest)):
         yield f"while turning {words}", mask, "Record the same motion mirrored"
     early = np.concatenate([trace.t - trace.t[0] < 1.0 for trace in traces])
@@ -78,9 +79,11 @@ def _parts(
         yield f"at speeds below {words}", slow, "Record ramps of several low speeds"
 
 
-def _after_reversals(t: Array, speed: Array, rest: float, *, within_s: float = 0.2) -> Mask:
-    """Whether a sample is at most so long after the joint began to turn the other way."""
+def _near_reversals(
+    t: Array, speed: Array, rest: float, *, before_s: float = 0.05, after_s: float = 0.2
+) -> Mask:
+    """Whether a sample is at most so long before or after the joint begins to turn back."""
     moving = np.flatnonzero(np.abs(speed) > rest)
-    turned = moving[1:][np.diff(np.sign(speed[moving])) != 0]
-    since = t - np.concatenate([[-np.inf], t[turned]])[np.searchsorted(t[turned], t, side="right")]
-    return np.asarray(since <= within_s)
+    start = t[moving[1:][np.diff(np.sign(speed[moving])) != 0]] - before_s
+    since = t - np.concatenate([[-np.inf], start])[np.searchsorted(start, t, side="right")]
+    return np.asarray(since <= before_s + after_s)
