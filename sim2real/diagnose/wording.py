@@ -198,9 +198,7 @@ def _mismatch(joint: JointFindings) -> Mismatch:
         where=_where(joint, segments),
         # Shares of the innovations' energy that a smooth function of each state explains.
         dependence={x: float(1 - np.exp(-2 * max(gain, 0.0) / count)) for x, gain in driven},
-        remainder=remainder(joint.joint.traces, joint.after, noise)
-        if joint.finding.unexplained or joint.leaves_structure
-        else "",
+        remainder="" if joint.finding.link else remainder(joint.joint.traces, joint.after, noise),
     )
 
 
