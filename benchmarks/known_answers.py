@@ -23,25 +23,22 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from benchmarks.harness import ROOT, command_line, table
+from benchmarks.harness import REAL, ROOT, command_line, table
 from benchmarks.real_servos import emps_drive
 from benchmarks.yardstick import rounded
-from benchmarks.yardstick_cases import SHARED
 from sim2real import diagnose, identify, predict
 from sim2real.arrays import Array, Mask
-from sim2real.diagnose.result import percent
-from sim2real.effects import plain
 from sim2real.errors import InputError
 from sim2real.output import provenance, write_json, write_whole
 from sim2real.readings import wrong_readings
 from sim2real.recording import Recording, read_commands, read_recording
+from sim2real.report.diagnosis_plots import plain, sure
 from sim2real.report.drawing import svg
 from sim2real.report.page import Figure, Note, Section, Table, write_page
 from sim2real.report.style import ACCENT, FAINT, INK, MUTED, RULE, house_style, new_figure
 from sim2real.units import readable, readable_name
 
 REPORT = ROOT / "reports" / "known_answers"
-BUILD = ROOT / "build" / "known_answers"
 DRAWN_S, DRAWN_POINTS = 3.0, 300
 ANSWERS = ("right", "group", "in part", "silent", "wrong", "refused")
 COUNTED = ("", "cases", *ANSWERS)
@@ -147,8 +144,7 @@ def judged(case: Known, row: dict[str, Any]) -> dict[str, Any]:
     groups, true = [set(one["group"]) for one in row["named"]], {*case.effects, *case.also}
     odds = [one["probability"] for one in row["named"] if not true & set(one["group"])]
     for one in row["named"]:
-        found = one["sizes"].items()
-        one["sizes"] = {n: [*x[:3], case.sizes[n]] for n, x in found if n in case.sizes}
+        one["sizes"] = {n: [*x, case.sizes[n]] for n, x in one["sizes"].items() if n in case.sizes}
     if odds or (not case.effects and row["verdict"] == "unexplained"):
         answer = "wrong"
     elif row["verdict"] == "refused":
@@ -210,7 +206,7 @@ def said(row: dict[str, Any]) -> str:
         parts = [name.split(maxsplit=1) for name in one["group"]]
         place = f"{parts[0][0]}: " if parts[0][0] not in ("j1", "pan") else ""
         kinds = " or ".join(plain(effect) for _, effect in parts)
-        words.append(f"{place}{kinds}, {percent(one['probability'])}")
+        words.append(f"{place}{kinds}, {sure(one['probability'])}")
         for name, values in one["sizes"].items():
             ratio = name.endswith((" kp.ratio", " load.ratio"))
             texts = [f"{x:.3g}" if ratio else readable(name, x) for x in values]
@@ -233,14 +229,14 @@ def counts(rows: dict[str, Any]) -> list[tuple[str, ...]]:
 def summary(rows: dict[str, Any]) -> str:
     """What the cases say together, in sentences."""
     of = Counter(row["answer"] for row in rows.values())
-    sure = sum(row["false"] >= 0.9 for row in rows.values())
+    certain = sum(row["false"] >= 0.9 for row in rows.values())
     sizes = [x for row in rows.values() for one in row["named"] for x in one["sizes"].values()]
     inside = sum(low <= true <= high for _, low, high, true in sizes)
     errors = [row["errors"] for row in rows.values() if "errors" in row]
     ratios = [np.median([x[k] / x["floor"] for x in errors]) for k in ("plain", "diagnosis")]
     told = ", ".join(f"{of[answer]} {answer}" for answer in ANSWERS if of[answer])
     return (
-        f"{len(rows)} cases: {told}; a wrong name is given at 90 % or more in {sure}. Of "
+        f"{len(rows)} cases: {told}; a wrong name is given at 90 % or more in {certain}. Of "
         f"{len(sizes)} known sizes {inside} are within their 90 % intervals. On {len(errors)} "
         f"motions that no fit saw, the error of the plain servo is {ratios[0]:.1f} times the "
         f"floor, that of the diagnosis {ratios[1]:.1f} times (medians)."
@@ -271,11 +267,11 @@ def sections(rows: dict[str, Any]) -> list[Section]:
 
 def main() -> None:
     """Answer the cases that are not stored, write numbers, page and README."""
-    options = command_line(__doc__, shared=SHARED, only="", again=False).parse_args()
+    options = command_line(__doc__, shared=REAL.parent, only="", again=False).parse_args()
     rows: dict[str, Any] = {}
     for name, of in ((f"{kind}/{n}", of) for kind in KINDS for n, of in TABLE[kind].items()):
         case = Known(**of | {"folder": options.shared / of["folder"]})
-        file = BUILD / f"{name}.json"
+        file = ROOT / "build" / "known_answers" / f"{name}.json"
         if not case.folder.is_dir():
             print(f"{name}: skipped, there is no {case.folder}")
         elif options.only in name and (options.again or not file.exists()):

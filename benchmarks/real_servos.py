@@ -162,12 +162,11 @@ def emps_drive(folder: Path) -> tuple[Recording, Robot]:
 
 def emps() -> None:
     """Print the gains of the EMPS drive per unit of mass beside the published ones."""
-    folder = real_recordings() / "emps"
-    about = json.loads((folder / "emps.json").read_text())
+    about = json.loads((real_recordings() / "emps" / "emps.json").read_text())
     control, gain = about["controller"], about["drive_gain_N_per_V"]
     kp = gain * control["kp_per_s"] * control["kv_V_s_per_m"] / MASS_KG
     kd = (gain * control["kv_V_s_per_m"] + VISCOUS) / MASS_KG
-    recording, robot = emps_drive(folder)
+    recording, robot = emps_drive(real_recordings() / "emps")
     rows = [("published", f"{kp:.4g}", f"{kd:.4g}", "", f"{COULOMB_N / MASS_KG:.3f}", "", "")]
     for law, effects in (("pd", ()), ("pd", ("coulomb_friction",)), ("motor", ())):
         model = identify([recording], robot, effects=effects, law=law)
