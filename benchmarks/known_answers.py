@@ -182,19 +182,21 @@ def drawn(title: str, t: Array, measured: Array, angles: dict[str, Array], floor
 
 
 def overview(rows: dict[str, Any]) -> str:
-    """Errors before and after of all cases on one logarithmic axis."""
+    """Errors before and after, relative to the floor, of all cases on one logarithmic axis."""
     shown = [(row["title"], row["errors"]) for row in rows.values() if "errors" in row]
     with house_style():
         figure = new_figure(70 + 17 * len(shown), "errors on unseen motions, before and after")
         axes = figure.subplots()
         y = np.arange(len(shown))
-        before, _, after, floor = zip(*(errors.values() for _, errors in shown), strict=True)
+        before, _, after, floor = np.array([list(errors.values()) for _, errors in shown]).T
+        before, after = before / floor, after / floor
         axes.hlines(y, before, after, FAINT, linewidth=1)
         axes.plot(before, y, "o", color=INK, markerfacecolor="none", markersize=6)
         axes.plot(after, y, "o", color=ACCENT, markersize=5)
-        axes.plot(floor, y, "|", color=MUTED, markersize=9)
+        axes.axvline(1.0, color=MUTED, linewidth=0.8)
         axes.set_yticks(y, [title for title, _ in shown], size=9)
-        axes.set(xscale="log", ylim=(len(shown) - 0.3, -0.7), title="mean absolute error, mrad")
+        axes.set(xscale="log", ylim=(len(shown) - 0.3, -0.7), title="mean absolute error / floor")
+        axes.margins(x=0.03)
         axes.xaxis.set_major_formatter("{x:g}")
     return svg(figure)
 
