@@ -1,8 +1,7 @@
 """Servos whose answer is known, diagnosed: writes the page ``reports/known_answers``.
 
     python -m benchmarks.known_answers                   # cases not answered yet, then the page
-    python -m benchmarks.known_answers --only missing/emps --again
-    python -m benchmarks.known_answers --shared FOLDER   # that has realdata and cases
+    python -m benchmarks.known_answers --only missing/emps --again --shared FOLDER
 
 Each case of ``known_answers.toml`` is one call of ``sim2real.diagnose`` and one of ``identify`` on
 some recordings, and a ``predict`` of a motion that neither has seen; then it is compared with what
@@ -13,6 +12,7 @@ samples of a recording, in ``reports/known_answers``. A case whose folder is abs
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -41,7 +41,7 @@ from sim2real.units import readable, readable_name
 REPORT = ROOT / "reports" / "known_answers"
 DRAWN_S, DRAWN_POINTS = 3.0, 300
 ANSWERS = ("right", "group", "in part", "silent", "wrong", "refused")
-COUNTED = ("", "cases", *ANSWERS)
+COUNTED = ("", "cases", *ANSWERS, "sizes held")
 TABLE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text())
 PAGE, KINDS = TABLE.pop("page"), TABLE.pop("kinds")
 
@@ -61,6 +61,7 @@ class Known:
     robot: str = "robot.toml"
     joint: str = "j1"
     effects: Sequence[str] = ()
+    finding: str = ""
     also: Sequence[str] = ()
     sizes: Mapping[str, float] = field(default_factory=dict)
 
@@ -129,8 +130,7 @@ def answered(case: Known) -> dict[str, Any]:
         models = {"plain": found.baseline, "identify": fitted, "diagnosis": found.model}
         motion, on, floor = case.motion()
         j = motion.joints.index(case.joint)
-        sent = replace(motion, position=np.full_like(motion.position, np.nan))
-        angles = {n: predict(sent, None, m).angles[0][on, j] for n, m in models.items() if m}
+        angles = {n: predict(motion, None, m).angles[0][on, j] for n, m in models.items() if m}
         measured = cleaned(motion.position[on, j])
         noise = found.baseline_fit[f"{case.joint}.position_rad"]["noise"] or 0.0
         row["errors"] = {name: mean_mrad(angle - measured) for name, angle in angles.items()}
@@ -143,6 +143,8 @@ def judged(case: Known, row: dict[str, Any]) -> dict[str, Any]:
     """The row with what is known: true sizes, the answer, its most probable wrong name."""
     groups, true = [set(one["group"]) for one in row["named"]], {*case.effects, *case.also}
     odds = [one["probability"] for one in row["named"] if not true & set(one["group"])]
+    told = re.search(case.finding, "\n".join(row["said"]))
+    finding = told[0] if told and case.finding else ""
     for one in row["named"]:
         one["sizes"] = {n: [*x, case.sizes[n]] for n, x in one["sizes"].items() if n in case.sizes}
     if odds or (not case.effects and row["verdict"] == "unexplained"):
@@ -150,12 +152,12 @@ def judged(case: Known, row: dict[str, Any]) -> dict[str, Any]:
     elif row["verdict"] == "refused":
         answer = "refused"
     elif not groups:
-        answer = "silent" if case.effects else "right"
+        answer = ("group" if finding else "silent") if case.effects else "right"
     elif not set(case.effects) <= set().union(*groups):
         answer = "in part"
     else:
         answer = "group" if any(len(group) > 1 for group in groups) else "right"
-    known = {"title": case.title, "truth": case.truth, "answer": answer}
+    known = {"title": case.title, "truth": case.truth, "answer": answer, "finding": finding}
     return row | known | {"false": max(odds, default=0.0)}
 
 
@@ -210,21 +212,25 @@ def said(row: dict[str, Any]) -> str:
         kinds = " or ".join(plain(effect) for _, effect in parts)
         words.append(f"{place}{kinds}, {sure(one['probability'])}")
         for name, values in one["sizes"].items():
-            ratio = name.endswith((" kp.ratio", " load.ratio"))
-            texts = [f"{x:.3g}" if ratio else readable(name, x) for x in values]
-            texts.insert(0, readable_name(name.rpartition(".")[2]))
+            texts = [readable_name(name.rpartition(".")[2]), *(readable(name, x) for x in values)]
             sizes.append("{} {} ({} to {}), true {}".format(*texts))
     below = sizes if words else [row["verdict"].replace("_", " ")]
-    return "; ".join(words or ["–"]) + "\n" + "; ".join(below)
+    return "; ".join(words or [row["finding"] or "–"]) + "\n" + "; ".join(below)
 
 
 def counts(rows: dict[str, Any]) -> list[tuple[str, ...]]:
     """Answers by kind of case, and of all."""
     lines = []
     for kind in (*KINDS, ""):
-        of = Counter(row["answer"] for name, row in rows.items() if name.startswith(kind))
-        heading = KINDS[kind]["title"] if kind else "all"
-        lines.append((heading, str(of.total()), *(str(of[answer]) for answer in ANSWERS)))
+        some = [row for name, row in rows.items() if name.startswith(kind)]
+        of = Counter(row["answer"] for row in some)
+        sizes = [x for row in some for one in row["named"] for x in one["sizes"].values()]
+        inside = sum(low <= true <= high for _, low, high, true in sizes)
+        heading, numbers = (
+            KINDS[kind]["title"] if kind else "all",
+            map(str, (of[a] for a in ANSWERS)),
+        )
+        lines.append((heading, str(of.total()), *numbers, f"{inside} of {len(sizes)}"))
     return lines
 
 
@@ -232,25 +238,23 @@ def summary(rows: dict[str, Any]) -> str:
     """What the cases say together, in sentences."""
     of = Counter(row["answer"] for row in rows.values())
     certain = sum(row["false"] >= 0.9 for row in rows.values())
-    sizes = [x for row in rows.values() for one in row["named"] for x in one["sizes"].values()]
-    inside = sum(low <= true <= high for _, low, high, true in sizes)
     errors = [row["errors"] for row in rows.values() if "errors" in row]
     ratios = [np.median([x[k] / x["floor"] for x in errors]) for k in ("plain", "diagnosis")]
     told = ", ".join(f"{of[answer]} {answer}" for answer in ANSWERS if of[answer])
     return (
-        f"{len(rows)} cases: {told}; a wrong name is given at 90 % or more in {certain}. Of "
-        f"{len(sizes)} known sizes {inside} are within their 90 % intervals. On {len(errors)} "
-        f"motions that no fit saw, the error of the plain servo is {ratios[0]:.1f} times the "
-        f"floor, that of the diagnosis {ratios[1]:.1f} times (medians)."
+        f"{len(rows)} cases: {told}; a wrong name is given at 90 % or more in {certain}. On "
+        f"{len(errors)} motions that no fit saw, the error of the plain servo is {ratios[0]:.1f} "
+        f"times the floor, that of the diagnosis {ratios[1]:.1f} times (medians)."
     )
 
 
 def sections(rows: dict[str, Any]) -> list[Section]:
     """The page: counts, what they prove, and the cases by kind."""
     counted = Table(COUNTED, counts(rows), PAGE["answers"])
+    proves = [Note("info", x) for x in PAGE["proves"].strip("- \n").split("\n- ")]
     page = [
         Section("In short", summary(rows), [counted, Figure(overview(rows), PAGE["overview"])]),
-        Section(PAGE["limits"], "", [Note("info", x) for x in PAGE["proves"]]),
+        Section(PAGE["limits"], "", proves),
     ]
     for kind, of in KINDS.items():
         some = {name: row for name, row in rows.items() if name.startswith(kind)}
@@ -289,7 +293,6 @@ def main() -> None:
     title, about, made = PAGE["title"], PAGE["subtitle"], provenance([], 0)
     write_page(REPORT / "index.html", title, about, sections(rows), made)
     words = PAGE | {"summary": summary(rows), "counts": table(COUNTED, counts(rows))}
-    words["proves"] = "\n".join(f"- {sentence}" for sentence in PAGE["proves"])
     write_whole(REPORT / "README.md", PAGE["readme"].format(**words))
 
 

@@ -20,4 +20,4 @@ from benchmarks.known_answers import Known, judged
 def test_an_answer_is_right_only_if_all_is_named_and_nothing_else(tmp_path, effects, named, answer):
     case = Known("", "", tmp_path, "*", effects=effects, also=["j1 coulomb_friction"])
     groups = [{"group": group, "probability": 0.8, "sizes": {}} for group in named]
-    assert judged(case, {"verdict": "explained", "named": groups})["answer"] == answer
+    assert judged(case, {"verdict": "explained", "said": [], "named": groups})["answer"] == answer
