@@ -143,8 +143,7 @@ def judged(case: Known, row: dict[str, Any]) -> dict[str, Any]:
     """The row with what is known: true sizes, the answer, its most probable wrong name."""
     groups, true = [set(one["group"]) for one in row["named"]], {*case.effects, *case.also}
     odds = [one["probability"] for one in row["named"] if not true & set(one["group"])]
-    told = re.search(case.finding, "\n".join(row["said"]))
-    finding = told[0] if told and case.finding else ""
+    finding = "".join(re.findall(case.finding, "\n".join(row["said"]))[:1])
     for one in row["named"]:
         one["sizes"] = {n: [*x, case.sizes[n]] for n, x in one["sizes"].items() if n in case.sizes}
     if odds or (not case.effects and row["verdict"] == "unexplained"):
@@ -263,9 +262,8 @@ def sections(rows: dict[str, Any]) -> list[Section]:
         errors = [
             (r["title"], *map("{:.3g}".format, r["errors"].values())) for r in scored.values()
         ]
-        models = ("", "plain servo", "identify", "diagnosis", "floor")
         blocks = [Table(("case", "known", "named", "answer"), cells)]
-        blocks += [Table(models, errors, PAGE["errors"])] if errors else []
+        blocks += [Table(PAGE["models"], errors, PAGE["errors"])] if errors else []
         blocks += [Figure(r["svg"], f"{r['title']}. {PAGE['run']} {n}") for n, r in scored.items()]
         page += [Section(of["title"], of["lead"], blocks)] if cells else []
     return page
