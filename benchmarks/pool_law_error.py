@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import command_line, spread
-from sim.inference.coordinates import ERROR, Coordinates
+from sim.inference.coordinates import ERROR, SERVO_EFFECTS, Coordinates
 from sim.inference.in_water import robot_in_water
 from sim.inference.law_error import (
     FILE,
@@ -239,9 +239,10 @@ def learned_from(robots: Sequence[Near], before: LawError, *, in_water: bool) ->
     """
     kinds = dict(zip(robots[0].kinds, robots[0].steps, strict=True))
     begun = {k: _BEGUN * step for k, step in kinds.items() if k.startswith(ERROR)}
-    begun |= {k: v for k, v in before.imitated.items() if k in begun}
-    base = {k: before.unknown[k] for k in kinds if k.startswith(("servo.", "twin.", "water."))}
-    wide = base | {k: 2 * sd for k, sd in begun.items() if k not in _OWN}
+    begun |= before.imitated
+    begins = ("servo.", "twin.", "water.", *SERVO_EFFECTS)
+    base = {k: before.unknown[k] for k in kinds if k.startswith(begins)}
+    wide = {k: 2 * sd for k, sd in begun.items() if k not in _OWN} | base
     usual = {k: 0.0 for k in kinds if k.startswith(("twin.", "water."))}
     usual |= before.shift if in_water else before.usual
     levels: Levels = (before.shares, begun, wide, usual)

@@ -212,6 +212,7 @@ def write_swim(
     from camera import reported, seen
     from sealed import component
 
+    from sim.inference.swims import with_values
     from sim.robot.swimmer import CONTROL_S
     from sim.twin.twin import Twin
     from sim2real.model import JointModel, Model
@@ -221,12 +222,15 @@ def write_swim(
     listed = [
         {"effect": n.partition(".")[0], "component": n.partition(".")[2], "parameters": values}
         for n, values in (effects | area).items()
-        if component(n) != "camera"
+        if component(n) not in ("camera", "servos")
     ]
     names = tuple(joint.name for joint in drawn.robot.joints)
     true = zip(*(drawn.servos[n] for n in ("kp", "kd", "latency")), strict=True)
     joints = {name: JointModel(*one, 0.002) for name, one in zip(names, true, strict=True)}
-    twin = Twin(drawn.robot, Model(joints=joints, body={"twin": law, "effects": listed}))
+    model = Model(joints=joints, body={"twin": law, "effects": listed})
+    friction = effects.get("coulomb_friction", {}).items()
+    model = with_values(model, {n.replace(".", ".coulomb_friction."): x for n, x in friction})
+    twin = Twin(drawn.robot, model)
     twin.reset(pose=start[None])
     track = np.concatenate([[[*start, *np.zeros(len(names))]], twin.swim(sent[:-1])[0]])
     t, noise = CONTROL_S * np.arange(len(sent)), {"position_m": 0.002, "heading_rad": 0.009}

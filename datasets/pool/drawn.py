@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -27,6 +27,8 @@ WEAKEST, STRONGEST = 0.2, 3.0
 WEAKEST_OF_TWO = 0.6
 AREA_SD = 0.1
 """Relative standard deviation of an appendage's drag area, as its file states."""
+BENCH, BENCH_S = 0.12, 0.006
+"""Largest errors of a bench: of gains, relative, and of latencies; uniform between."""
 
 
 @dataclass(frozen=True)
@@ -123,9 +125,9 @@ def robot_of(rng: np.random.Generator, name: str) -> Drawn:
     latency = rng.uniform(0.045, 0.08) + rng.uniform(-0.006, 0.006, J)
     true = {"kp": kp, "kd": kd, "latency": latency}
     off = {
-        "kp": kp * (1 + rng.uniform(-0.05, 0.05, J)),
-        "kd": kd * (1 + rng.uniform(-0.05, 0.05, J)),
-        "latency": latency + rng.uniform(-0.004, 0.004, J),
+        "kp": kp * (1 + rng.uniform(-BENCH, BENCH, J)),
+        "kd": kd * (1 + rng.uniform(-BENCH, BENCH, J)),
+        "latency": latency + rng.uniform(-BENCH_S, BENCH_S, J),
     }
     water = water_of(rng)
     plain, bench = (
@@ -213,6 +215,11 @@ def _soft_skin(rng: np.random.Generator, s: float) -> dict[str, float]:
     return {"stiffness_Nm_per_rad": 0.5 * s, "relaxation_s": float(rng.uniform(0.15, 0.8))}
 
 
+def _friction(rng: np.random.Generator, s: float) -> dict[str, float]:
+    first, second = 0.08 * s * rng.dirichlet((1.0, 1.0))
+    return {"j1.torque_Nm": first, "j2.torque_Nm": second}
+
+
 NOMINAL: dict[str, Callable[[np.random.Generator, float], dict[str, float]]] = {
     "skin_elasticity": _one("stiffness_Nm_per_rad", 0.4),
     "skin_damping": _one("damping_Nms_per_rad", 0.015),
@@ -234,6 +241,7 @@ NOMINAL: dict[str, Callable[[np.random.Generator, float], dict[str, float]]] = {
     "marker_offset": _round(("x_m", "y_m"), 0.02),
     "pose_filter": _one("time_constant_s", 0.05),
     "dropped_frames": _one("probability", 0.08),
+    "coulomb_friction": _friction,
 }
 """Parameters of each effect at a strength."""
 
@@ -278,10 +286,10 @@ _SAME = ("skin", "camera_latency pose_filter dropped_frames", "surface_friction 
 
 
 def plan(
-    counts: dict[str, int], robots: int, rng: np.random.Generator
+    counts: dict[str, int], robots: int, rng: np.random.Generator, singles: Sequence[str] = ()
 ) -> list[list[tuple[str, str]]]:
-    """Kind and name of each robot's cases; effects in turn, so that each has its share."""
-    effects = [str(n) for n in rng.permutation(list(NOMINAL))]
+    """Kind and name of each robot's cases; effects, or ``singles``, in turn, with equal shares."""
+    effects = [str(n) for n in rng.permutation(singles or list(NOMINAL))]
     outsiders = [str(n) for n in rng.permutation(list(OUTSIDE))]
     cases = [("null", "")] * counts["null"]
     cases += [("single", effects[i % len(effects)]) for i in range(counts["single"])]

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from camera import NOISE, STEP_RAD
-from drawn import Case, Drawn
+from drawn import BENCH, BENCH_S, Case, Drawn
 from numpy.typing import NDArray
 
 from sim.inference.swims import by_twin, with_values
@@ -23,7 +23,7 @@ from sim2real.velocity import body_velocity
 
 Array = NDArray[np.float64]
 
-GAIN, LATE_S = 0.03, 0.0025
+GAIN, LATE_S = BENCH / np.sqrt(3), BENCH_S / np.sqrt(3)
 """Standard deviations of the bench's kp and kd (relative) and latency."""
 TURBULENT = (0.008, 0.004, 0.04)
 """Standard deviations of surge, sway (m/s) and yaw rate (rad/s) by another wake, correlated for

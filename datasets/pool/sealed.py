@@ -24,7 +24,18 @@ from typing import Any
 
 import numpy as np
 from camera import reported, seen
-from drawn import LEAST_M, SECONDS, Case, Drawn, case_of, command_of, plan, robot_of, start_of
+from drawn import (
+    LEAST_M,
+    NOMINAL,
+    SECONDS,
+    Case,
+    Drawn,
+    case_of,
+    command_of,
+    plan,
+    robot_of,
+    start_of,
+)
 from knower import known_to
 from numpy.typing import NDArray
 from truth import Truth
@@ -46,24 +57,24 @@ NUDGE_M = 1e-3
 
 
 def made(
-    seed: int, robots: int, k: int, counts: dict[str, int]
+    seed: int, robots: int, k: int, counts: dict[str, int], singles: Sequence[str] = ()
 ) -> tuple[Drawn, list[Case], Any, int]:
     """Robot ``k``, its cases, the generator of what else is drawn, and cases of earlier robots."""
     order, *streams = np.random.SeedSequence(seed).spawn(1 + robots)
     rng = np.random.default_rng(streams[k])
     drawn = robot_of(rng, f"robot {k + 1}")
-    every = plan(counts, robots, np.random.default_rng(order))
+    every = plan(counts, robots, np.random.default_rng(order), singles)
     cases = [case_of(kind, name, rng, drawn.robot) for kind, name in every[k]]
     return drawn, cases, rng, sum(map(len, every[:k]))
 
 
 def make_robot(
-    out: Path, seed: int, robots: int, k: int, counts: dict[str, int], device: str,
-    cell_m: float, seconds: float,
+    out: Path, seed: int, robots: int, k: int, counts: dict[str, int], singles: Sequence[str],
+    device: str, cell_m: float, seconds: float,
 ) -> str:  # fmt: skip
     """Swim all cases of robot ``k``, write what they show and what is true of them."""
     start = time.perf_counter()
-    drawn, cases, rng, first = made(seed, robots, k, counts)
+    drawn, cases, rng, first = made(seed, robots, k, counts, singles)
     J = len(drawn.robot.joints)
     swims = [(case, part) for case in cases for part in ("a", "b", "plain")]
     swims += [(Case("null", {}, {}, True, cases[0].camera), f"ref_{n + 1}") for n in range(2)]
@@ -151,13 +162,13 @@ def make_robot(
 
 
 def component(name: str) -> str:
-    """Component of an effect by its identifier: a material, the camera or the body."""
+    """Component of an effect by its identifier: a material, camera, servos or body."""
     effect, _, material = name.partition(".")
     if material:
         return material
     camera = ("camera_latency", "camera_rotation", "camera_scale", "marker_offset", "pose_filter",
               "dropped_frames", "drifting_mount", "bending_marker")  # fmt: skip
-    return "camera" if effect in camera else "body"
+    return "servos" if effect == "coulomb_friction" else "camera" if effect in camera else "body"
 
 
 def robot_toml(drawn: Drawn) -> str:
@@ -196,11 +207,13 @@ def appendage_toml(bar: Appendage) -> str:
     return f"[[links.appendages]]\n{table}"
 
 
-def consulted(out: Path, seed: int, robots: int, counts: dict[str, int]) -> None:
+def consulted(
+    out: Path, seed: int, robots: int, counts: dict[str, int], singles: Sequence[str]
+) -> None:
     """Compute the oracles anew from the swims that were kept without noise."""
     for path in sorted((out / "private").glob("robot_*.json")):
         about, kept = json.loads(path.read_text()), np.load(path.with_suffix(".npz"))
-        drawn, cases, _, _ = made(seed, robots, int(path.stem[-2:]) - 1, counts)
+        drawn, cases, _, _ = made(seed, robots, int(path.stem[-2:]) - 1, counts, singles)
         model = read_model(out / "inputs" / path.stem / "model.json")
         shown, joint, sent = (kept[name].astype(np.float64) for name in ("shown", "joint", "sent"))
         t = CONTROL_S * np.arange(len(sent))
@@ -248,6 +261,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--robots", type=int, default=ROBOTS)
     parser.add_argument("--cell-m", type=float, default=LEAST_M)
     parser.add_argument("--seconds", type=float, default=SECONDS, help="of a swim")
+    parser.add_argument(
+        "--effects",
+        nargs="*",
+        default=(),
+        choices=list(NOMINAL),
+        metavar="EFFECT",
+        help="of cases with one effect, in turn; default: all",
+    )
     parser.add_argument("--seconds-left", type=float, help="then give up")
     parser.add_argument("--finish", action="store_true", help="write answers of what was made")
     for kind, count in COUNTS.items():
@@ -261,7 +282,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     seed = int(kept.read_text())
     counts = {kind: getattr(options, kind) for kind in COUNTS}
     if options.finish:
-        consulted(options.out, seed, options.robots, counts)
+        consulted(options.out, seed, options.robots, counts, options.effects)
         finish(options.out, seed)
         return
     devices = options.device.split(",")
@@ -269,8 +290,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         k for k in range(options.robots) if not (kept.parent / f"robot_{k + 1:02d}.json").exists()
     ]
     jobs = [
-        (options.out, seed, options.robots, k, counts, devices[n % len(devices)], options.cell_m,
-         options.seconds)
+        (options.out, seed, options.robots, k, counts, options.effects, devices[n % len(devices)],
+         options.cell_m, options.seconds)
         for n, k in enumerate(missing)
     ]  # fmt: skip
     failed = 0

@@ -25,6 +25,7 @@ import numpy as np
 from sim.inference.diagnose_swims import diagnosis_of, likely_model
 from sim.inference.in_water import (
     by_twin_in_water,
+    differs,
     read_water_swims,
     robot_in_water,
     with_fluid_effects,
@@ -33,7 +34,6 @@ from sim.inference.law_error import FILE, IN_WATER, LawError, learned, read_law_
 from sim.inference.searched import raw, searched
 from sim.inference.swim_problem import SwimPrior
 from sim.inference.swims import swim_of
-from sim2real.body import values
 from sim2real.commands.command import add_executor, where_jobs_run
 from sim2real.diagnose.result import write_diagnosis
 from sim2real.executor import Job, JobOutcome, run_jobs
@@ -92,9 +92,10 @@ def answer(target: Path, *, case: str, water_folder: str | None, again_folder: s
     if not again:
         write_model(diagnosis.baseline, target / "baseline.json")
         there = with_fluid_effects(model, likely_model(found, known, referred=referred))
-        if values(there):
+        if differs(model, there):
             write_model(there, target / RESIMULATED)
-    offered = diagnosis.model if values(diagnosis.model) else read_model(target / "baseline.json")
+    without = diagnosis.model == diagnosis.baseline
+    offered = read_model(target / "baseline.json") if without else diagnosis.model
     write_model(offered, target / "enriched.json")
     for k, members in enumerate(found.held):
         fit = next(one.fit for one in found.found if one.members == members)

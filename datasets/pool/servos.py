@@ -45,7 +45,9 @@ class Servos:
             np.array([getattr(truth, key) for truth in truths]) for key in ("kp", "kd", "latency")
         )
         self.gains = self._kp, self._kd
-        self._friction = values(truths, "coulomb_friction", "torque_Nm")[:, None]
+        names = ("torque_Nm", *(f"j{j + 1}.torque_Nm" for j in range(J)))
+        of_all, *own = (values(truths, "coulomb_friction", name) for name in names)
+        self._friction = np.stack(own, axis=1) + of_all[:, None]
         self._gap = values(truths, "backlash", "gap_rad")[:, None]
         self._wander = values(truths, "latency_drift", "sd_s")[:, None]
         self._memory = np.maximum(values(truths, "latency_drift", "time_s")[:, None], PERIOD_S)

@@ -21,7 +21,7 @@ from sim.robot.swimmer import CONTROL_S, least_viscosity
 from sim.twin.law import FITTED, Coefficients
 from sim2real.arrays import Array, Index, Mask
 from sim2real.body import body_effect, listed, values
-from sim2real.effects import BODY, CAMERA
+from sim2real.effects import BODY, CAMERA, named
 from sim2real.effects.body_effect import BodyEffect, CameraEffect
 from sim2real.inference.parameters import Parameter
 from sim2real.model import Model
@@ -48,6 +48,10 @@ _CURRENT = ("pool_current.u_m_s", "pool_current.v_m_s")
 _STIFF, _RELAX = "skin_viscoelasticity.stiffness_Nm_per_rad", "skin_viscoelasticity.relaxation_s"
 
 SERVO = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
+SERVOS = "servos"
+"""Component of effects that all servos share, each of a size of its own in every joint."""
+SERVO_EFFECTS = ("coulomb_friction",)
+"""Effects of the servos' catalogue that the joints' angles of a swim show."""
 AREAS = "appendage_area"
 """Error of what the robot file states, which a calibration fits: no physics that it leaves out."""
 _CALIBRATED = ("across", "along", "added_mass", "linear", "thrust", "wake", "wake_s")
@@ -115,6 +119,15 @@ def effect_parameters(effect: str, material: str | None = None) -> list[Paramete
     return out
 
 
+def _of_servos(effect: str, robot: Robot) -> list[Parameter]:
+    """Parameters of a servo's effect in each joint."""
+    return [
+        replace(p, name=f"{joint.name}.{effect}.{p.name}", prior_sd=4 * p.typical)
+        for joint in robot.joints
+        for p in named(effect).parameters
+    ]
+
+
 def water_parameters(robot: Robot, cell_m: float) -> list[Parameter]:
     """Drag, friction and added mass of the body, and the viscosity for cells of a size."""
     out = effect_parameters("form_drag") + effect_parameters("linear_drag")
@@ -128,8 +141,8 @@ def water_parameters(robot: Robot, cell_m: float) -> list[Parameter]:
 
 
 def candidates(robot: Robot) -> dict[Name, list[Parameter]]:
-    """Every effect of the catalogue's body and camera that this robot may have."""
-    out = {}
+    """Effects of servos, body and camera that this robot may have."""
+    out = {(name, SERVOS): _of_servos(name, robot) for name in SERVO_EFFECTS}
     effects: tuple[BodyEffect | CameraEffect, ...] = (*BODY, *CAMERA)
     for effect in effects:
         if effect.name == AREAS:
@@ -138,7 +151,14 @@ def candidates(robot: Robot) -> dict[Name, list[Parameter]]:
         for material in _materials(robot) if effect.by_material else [None]:
             free = effect_parameters(effect.name, material)
             out[effect.name, material or component] = free
+    area, place = out["appendage_drag", "body"]
+    out["appendage_drag", "body"] = [replace(area, high=_largest_area(robot)), place]
     return out
+
+
+def _largest_area(robot: Robot) -> float:
+    """Twice the robot's largest cross-section, m2: more drag area is left out of no file."""
+    return max(2 * np.pi / 4 * link.width_m * link.height_m for link in robot.links)
 
 
 def _materials(robot: Robot) -> list[str]:
@@ -180,6 +200,8 @@ class Column:
     def kind(self) -> str:
         """Key in ``law_error.json``: the name without joint or material."""
         head, *_, tail = self.name.split(".")
+        if self.effect is not None and self.effect[1] == SERVOS:
+            head = self.effect[0]
         own = self.effect is not None or head in ("twin", "water")
         return f"{head if own else 'servo'}.{tail}"
 
@@ -267,8 +289,14 @@ class Coordinates:
         return out
 
     def model_at(self, x: Array) -> Model:
-        """The model at a point (F,); the simulator's error is stored apart, as ``body.seems``."""
+        """The model at a point (F,); the simulator's error is stored apart, as ``body.seems``.
+
+        Sizes of a servo's effects that reference swims have too are in the model.
+        """
         parameters, seems = self.parameters(x), np.broadcast_to(self.seems, x.shape)
+        for name in (p.name for e in self.effects if e[1] == SERVOS for p in self.effects[e]):
+            size = parameters.pop(name, 0.0) + float(seems[self.place[name]])
+            parameters |= {name: size} if size > 0 else {}
         names = [name for name in parameters if name.startswith(ERROR)]
         error = {name: parameters.pop(name) + float(seems[self.place[name]]) for name in names}
         model = with_values(self.model, parameters)

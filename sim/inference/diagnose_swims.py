@@ -13,20 +13,30 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.inference.coordinates import Name, Names, signals_at
+from sim.inference.coordinates import SERVOS, Name, Names, signals_at
 from sim.inference.in_water import resimulated, robot_in_water, water_of
 from sim.inference.law_error import IN_WATER, LAW_ERROR, LawError, learned, read_law_error
+from sim.inference.located import located, residuals, windows_of
 from sim.inference.searched import HELD_OUT, Searched, raw, searched
 from sim.inference.swim_decision import Decided, Named, Numbers, decide
 from sim.inference.swim_problem import Fit
-from sim.inference.swims import FLUID_THREADS, SIGNALS, Swim, SwimSimulator, names_in_files, swim_of
+from sim.inference.swims import FLUID_THREADS, Swim, SwimSimulator, names_in_files, swim_of
 from sim.inference.unlisted import SHAPES
 from sim.robot.swimmer import CONTROL_S
 from sim2real.arrays import Array
 from sim2real.body import body_effect, material_note
-from sim2real.diagnose.result import Diagnosis, Estimate, Mismatch, NamedEffect, Rival, to_design
+from sim2real.diagnose.result import (
+    Diagnosis,
+    Estimate,
+    Experiment,
+    Mismatch,
+    NamedEffect,
+    Rival,
+    to_design,
+)
 from sim2real.diagnose.rival_sets import design_of, separations
 from sim2real.diagnose.swim_rivals import SwimRivals, SwimSet
+from sim2real.effects import named
 from sim2real.inference.selection import Hypothesis
 from sim2real.model import Model
 from sim2real.output import provenance
@@ -41,6 +51,8 @@ _SAMPLES = 400
 _REPEATED = 0.005
 _OUT_OF_PLANE = 3.0
 """Least misfit of surge or sway at the beat frequency that suggests motion out of the plane."""
+_LARGE = 1.5
+"""Share of the residual, relative to that of an average signal, that shows the mismatch."""
 _IMPROVED = 0.8
 """Ratio of errors after and before, below which a signal shows the mismatch."""
 
@@ -141,15 +153,11 @@ def diagnosis_of(
         {n: {"train": a, "heldout": b} for n, a, b in zip(names, *both.tolist(), strict=True)}
         for both in (before, after)
     )
-    noise = np.mean([swim.noise_sd for swim in result.problem.swims], axis=0)
-    mismatch = [
-        Mismatch(name, "body", float(x), float(sd), 1 - float(y / x) ** 2, {}, where="")
-        for name, x, y, sd in zip(names[: len(SIGNALS)], before[1], after[1], noise, strict=False)
-        if decided.named and y < _IMPROVED * x
-    ]
+    mismatch, advice = _mismatch(result, names, before[1], after[1])
+    unclear = decided.verdict in ("unexplained", "partly_explained")
     return Diagnosis(
         verdict=decided.verdict,
-        mismatch=tuple(mismatch),
+        mismatch=() if decided.verdict == "consistent" else mismatch,
         effects=tuple(_named(result, decided, entry, chosen, numbers) for entry in decided.named),
         rivals=tuple(Rival(name, of, p) for (name, of), p in decided.rivals[:5]),
         unknown={"body": decided.unlisted},
@@ -161,10 +169,41 @@ def diagnosis_of(
             ("body", [name for name, _ in entry.group])
             for entry in decided.named
             if entry.probability >= likely
-        ),
+        )
+        or (Experiment("body", (), advice, "none", None, None, advice) if unclear else None),
         gate=tuple(_remarks(result, decided, likely, referred=referred)),
         swim_rivals=_rival_sets(result, decided.sets, numbers),
     )
+
+
+def _mismatch(
+    result: Searched, names: Sequence[str], before: Array, after: Array
+) -> tuple[tuple[Mismatch, ...], str]:
+    """Signals with a large share of the residual, or that effects improve.
+
+    The one with the most first, and what to record about that. Shares are of the end of the swims,
+    by the fit to their beginning; the rest is of the fit to all.
+    """
+    problem, swims = result.problem, result.problem.swims
+    noise = np.mean([swim.noise_sd for swim in swims], axis=0)
+    unseen = problem.rows(result.held[frozenset()].fit.x[None])[0]
+    ends = [one[round((1 - HELD_OUT) * len(one)) :] for one in residuals(problem, unseen)]
+    share = np.sum(np.concatenate(ends) ** 2, axis=0)
+    share /= max(float(share.sum()), 1e-30)
+    least = min(_LARGE / share.size, float(share.max()))
+    residual = residuals(problem, result.plain.fit.rows)
+    square = np.concatenate(residual) ** 2
+    out, told = [], []
+    for k in np.argsort(-share).tolist():
+        if share[k] >= least or after[k] < _IMPROVED * before[k]:
+            where, advice = located(swims, square[:, k])
+            where = f"{100 * share[k]:.0f} % of the residual of all signals, {where}"
+            windows_s = windows_of(swims, [one[:, k] for one in residual])
+            component = names[k].partition(".")[0]
+            errors = float(before[k]), float(noise[k])
+            out.append(Mismatch(names[k], component, *errors, float(share[k]), windows_s, where))
+            told.append(f"{advice}, for the {readable_name(names[k].partition('.')[2])}.")
+    return tuple(out), told[0]
 
 
 def _errors(result: Searched, members: Names) -> Array:
@@ -189,7 +228,10 @@ def _named(
     )
     others = ", ".join(f"{name} ({of})" for name, of in entry.group[1:])
     or_else = f" These swims do not distinguish it from {others}." if others else ""
-    title = body_effect(effect).title + material_note(effect, component)
+    if component == SERVOS:
+        title = f"{named(effect).plain} in the servos"
+    else:
+        title = body_effect(effect).title + material_note(effect, component)
     c, plain = result.problem.coordinates, result.plain
     before, after = (result.held[one.members].speed for one in (plain, chosen))
     return NamedEffect(
@@ -222,7 +264,9 @@ def _estimates(
     for p in c.effects[name]:
         values = np.array([parameters.get(p.name, 0.0) for parameters in drawn])
         ends = np.quantile(values, (0.05, 0.95)).tolist()
-        out[p.name.rpartition(".")[2]] = Estimate(float(values[0]), float(values.std()), *ends)
+        of_joint = f"{p.name.partition('.')[0]}." if name[1] == SERVOS else ""
+        shown = of_joint + p.name.rpartition(".")[2]
+        out[shown] = Estimate(float(values[0]), float(values.std()), *ends)
     return out
 
 
@@ -297,7 +341,7 @@ def _set(result: Searched, hypothesis: Hypothesis[Fit], probability: float) -> S
     covariance = result.problem.covariance(hypothesis.members, fit)
     return SwimSet(
         effects=tuple(
-            f"{effect}.{component}" if body_effect(effect).by_material else effect
+            effect if component in ("body", "camera", SERVOS) else f"{effect}.{component}"
             for effect, component in sorted(hypothesis.members)
         ),
         probability=float(probability),

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from sim.fluid.wall import SLIP
-from sim.inference.coordinates import WATER, Coordinates
+from sim.inference.coordinates import SERVO_EFFECTS, WATER, Coordinates
 from sim.inference.law_error import learned
 from sim.inference.swim_problem import SwimProblem
 from sim.inference.swims import (
@@ -35,7 +35,7 @@ from sim.twin.law import Coefficients
 from sim2real.arrays import Array
 from sim2real.body import values
 from sim2real.errors import InputError
-from sim2real.model import Model
+from sim2real.model import JointModel, Model
 from sim2real.output import check_writable, write_whole
 from sim2real.robot import Robot
 from sim2real.structured import read_arrays
@@ -123,6 +123,23 @@ def with_fluid_effects(model: Model, fitted: Model) -> Model:
     return with_values(replace(model, joints=fitted.joints), effects)
 
 
+def differs(
+    model: Model, fitted: Model, *,
+    relative: float = 0.05, late_s: float = 0.003, friction_Nm: float = 0.01,
+) -> bool:  # fmt: skip
+    """Whether effects, or a servo, of a fitted model differ enough to be simulated in the fluid."""
+
+    def quantities(servo: JointModel) -> Array:
+        """In units of what is enough."""
+        gains = np.log([servo.kp_Nm_per_rad, servo.kd_Nms_per_rad]) / relative
+        friction = [e.parameters["torque_Nm"] for e in servo.effects if e.effect in SERVO_EFFECTS]
+        return np.append(gains, [servo.latency_s / late_s, sum(friction) / friction_Nm])
+
+    pairs = ((servo, fitted.joints[name]) for name, servo in model.joints.items())
+    apart = [np.abs(quantities(other) - quantities(servo)).max() for servo, other in pairs]
+    return bool(values(fitted)) or max(apart) > 1.0
+
+
 def simulate_again(
     robot: Robot, models: Sequence[Model], swims: Sequence[Swim], water: InWater,
     **options: Any,  # noqa: ANN401
@@ -143,7 +160,7 @@ def resimulated(
 ) -> tuple[SwimSimulator, Model] | None:
     """The simulator corrected by simulations with a fitted model's effects, or None."""
     with_effects = with_fluid_effects(model, fitted)
-    if not values(with_effects):
+    if not differs(model, with_effects):
         return None
     again = simulate_again(robot, [with_effects] * len(swims), swims, water, **options)
     return by_twin_in_water(robot, with_effects, again), with_effects

@@ -184,10 +184,12 @@ def _subsets(members: Members) -> list[Members]:
 
 def changed(problem: SwimProblem, x: Array, simulated: Model | None = None) -> list[Array]:
     """Change of each swim's signals by the effects at a point (F,), in the twin, (T, 3 + J)."""
-    full = problem.coordinates.model_at(x)
+    c = problem.coordinates
+    full, base = c.model_at(x), c.model_at(np.where(c.in_fit(frozenset()), x, c.nominal))
     kept = {name: v for name, v in values(full).items() if is_shown(name)}
     kept |= values(simulated) if simulated else {}
-    without = replace(full, body={**full.body, "effects": listed(kept)})
+    joints = full.joints if simulated else base.joints
+    without = replace(full, joints=joints, body={**full.body, "effects": listed(kept)})
     pairs = (signals_of([full, without], swim, problem.simulate) for swim in problem.swims)
     return [with_effects - bare for with_effects, bare in pairs]
 

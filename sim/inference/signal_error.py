@@ -34,7 +34,7 @@ _STEP_RAD = 0.0012
 
 ORDER = 3
 """Largest order of the polynomials in time of the error of the speed."""
-_SLOW = 51
+SLOW = 51
 """Samples of the moving average that separates a signal's mean from its oscillation."""
 SHARE, LATE_S = 0.1, 0.01
 """Relative error, and delay in s, of the change that an effect makes."""
@@ -107,6 +107,11 @@ class Blocks:
         """Cosine transforms of simulated minus recorded signals, (..., T, K)."""
         return spectrum(np.nan_to_num(signals, nan=10.0), self.edges) - self.seen
 
+    def in_time(self, coefficients: Array) -> Array:
+        """The signals (T, K) with these cosine transforms."""
+        parts = [dct(coefficients[a:b], type=3, norm="ortho", axis=0) for a, b in self.edges]
+        return np.concatenate(parts)
+
     def weighted(self, signals: Array, weights: Array) -> Array:
         """Columns (m, T, K) of signals, transformed and weighted as in a fit, shape (T K, m)."""
         return np.asarray((spectrum(signals, self.edges) * weights).reshape(len(signals), -1).T)
@@ -136,7 +141,7 @@ def shapes(signals: Array) -> dict[str, Array]:
     simulated signals: the noise of recorded ones would seem to explain itself.
     """
     T, K = signals.shape
-    slow = uniform_filter1d(signals, _SLOW, axis=0, mode="nearest")
+    slow = uniform_filter1d(signals, SLOW, axis=0, mode="nearest")
     swing = signals - slow
     polynomials = legvander(np.linspace(-1.0, 1.0, T), ORDER).T[:, :, None]
     of_kind = {"swing": swing, "late": -np.gradient(swing, CONTROL_S, axis=0), "slow": slow}

@@ -20,7 +20,7 @@ from sim.twin.twin import Twin
 from sim2real.arrays import Array, Index
 from sim2real.body import listed, observed, values
 from sim2real.errors import InputError
-from sim2real.model import Model
+from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.plausible import validate_recording
 from sim2real.recording import Recording
 from sim2real.robot import Robot
@@ -299,15 +299,17 @@ def distinct(models: Sequence[Model]) -> tuple[list[Model], Index]:
 
 
 def with_values(model: Model, parameters: Mapping[str, float]) -> Model:
-    """The model with values by name of joints (``j1.kp_Nm_per_rad``), twin, water and effects."""
+    """The model with values by name: of joints (``j1.kp_Nm_per_rad``), twin, water, effects.
+
+    Sizes of a servo's effects (``j1.coulomb_friction.torque_Nm``) are added to those it has.
+    """
     joints, body = dict(model.joints), dict(model.body)
     law = dict(vars(Coefficients.of(body)))
     effects = values(model)
     for name, value in parameters.items():
         head, _, tail = name.partition(".")
         if head in joints:
-            changed: dict[str, Any] = {tail: value}
-            joints[head] = replace(joints[head], **changed)
+            joints[head] = _with_value(joints[head], tail, value)
         elif head == "twin":
             law[tail] = value
         elif head == "water":
@@ -318,3 +320,15 @@ def with_values(model: Model, parameters: Mapping[str, float]) -> Model:
         body["twin"] = law
     body["effects"] = listed(effects)
     return replace(model, joints=joints, body=body)
+
+
+def _with_value(servo: JointModel, name: str, value: float) -> JointModel:
+    """A servo with a value of its own, or of an effect (``EFFECT.NAME``) besides what it has."""
+    effect, _, parameter = name.rpartition(".")
+    if not effect:
+        changed: dict[str, Any] = {name: value}
+        return replace(servo, **changed)
+    effects = {one.effect: dict(one.parameters) for one in servo.effects}
+    known = effects.setdefault(effect, {})
+    known[parameter] = known.get(parameter, 0.0) + value
+    return replace(servo, effects=tuple(FittedEffect(*item) for item in effects.items()))

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from sim.inference.law_error import LAW_ERROR
-from sim.inference.swims import HELD_OUT_SHARE, Simulator, Swim, SwimSimulator, simulated, units_of
+from sim.inference.swims import (
+    HELD_OUT_SHARE,
+    Simulator,
+    Swim,
+    SwimSimulator,
+    names_in_files,
+    simulated,
+    units_of,
+)
 from sim2real.arrays import Array
 from sim2real.diagnose.result import Diagnosis, NamedEffect, Rival, percent
+from sim2real.inference.segments import Window
 from sim2real.model import Model
 from sim2real.recording import Recording
 from sim2real.report.page import Block, Note, Section, Table, Text
@@ -29,8 +38,14 @@ _SENTENCES = {
     "ambiguous": "Something is missing; these swims do not distinguish its candidates.",
 }
 _ERRORS = "Root mean square error on the end of the swims, fitted to the part before; SI units."
+_WHERE = (
+    "Residual of the model without missing effects, in standard deviations of noise and of the "
+    "simulator's usual error: the share of each signal, and the part of the motion that has most "
+    "of it in the least time."
+)
 _COMPARED = (
-    "{swim}: measured, and simulated before and after; both models were fitted to all of it."
+    "{swim}: measured, and simulated before and after; all models were fitted to all of it. "
+    "Shaded: times of large residuals."
 )
 _PLOTTED = 3
 """Largest number of swims that are plotted."""
@@ -44,20 +59,27 @@ def swim_panels(
     *,
     label: str = "calibrated",
     held_out: float = HELD_OUT_SHARE,
+    windows_s: Mapping[str, Sequence[Window]] | None = None,
 ) -> list[Panel]:
     """Surge, sway, yaw rate and the first joint of a swim, measured and simulated.
 
     The models are those before and after a fit; ``label`` is the name of the second. The share
-    ``held_out`` at the end, which the fit did not use, is shaded.
+    ``held_out`` at the end, which the fit did not use, is shaded. ``windows_s``: of these signals,
+    by their names in files, which are then all shown, other times are shaded.
     """
+    windows_s = windows_s or {}
     before, after = simulated(swim, list(models), simulator)
     end = float(swim.t[-1])
     shaded = [(end * (1 - held_out), end)] if held_out else []
     panels = []
-    for k, (name, unit) in enumerate(list(units_of(robot).items())[:4]):
-        signals = {MEASURED: swim.signals[:, k], "before": before[:, k], label: after[:, k]}
-        group = SignalGroup((swim.name, name), unit, swim.t, signals)
-        panels.append(Panel(group, f"{name}, {unit}", shaded))
+    pairs = zip(units_of(robot).items(), names_in_files(robot), strict=True)
+    for k, ((name, unit), in_file) in enumerate(pairs):
+        signals = {MEASURED: swim.signals[:, k], "before": before[:, k]}
+        if models[0] is not models[1]:
+            signals[label] = after[:, k]
+        if k < 4 or in_file in windows_s:
+            group = SignalGroup((swim.name, name), unit, swim.t, signals)
+            panels.append(Panel(group, f"{name}, {unit}", windows_s.get(in_file, shaded)))
     return panels
 
 
@@ -93,15 +115,26 @@ def swims_section(
         for name, x in plain.items()
     ]
     blocks.append(Table(("signal", "before", "with what is named", ""), errors, _ERRORS))
-    if simulate is not None and diagnosis.baseline is not None and enriched != plain:
-        models = (diagnosis.baseline, diagnosis.model)
+    names = dict(zip(names_in_files(robot), units_of(robot), strict=True))
+    where = [
+        (names[entry.signal], f"{100 * entry.share:.0f} %", entry.where.partition(", ")[2])
+        for entry in diagnosis.mismatch
+    ]
+    if where:
+        blocks.append(Table(("signal", "of the residual", "where that is"), where, _WHERE))
+    if simulate is not None and diagnosis.baseline is not None and diagnosis.mismatch:
+        enriched_model = diagnosis.baseline if enriched == plain else diagnosis.model
+        models = (diagnosis.baseline, enriched_model)
         for swim in swims[:_PLOTTED]:
             panels = swim_panels(
                 swim, models, lambda some, *_, swim=swim: simulate(some, swim), robot,
                 label="with what is named", held_out=0.0,
+                windows_s={m.signal: m.windows_s.get(swim.name, ()) for m in diagnosis.mismatch},
             )  # fmt: skip
             caption = _COMPARED.format(swim=swim.name)
             blocks.append(series_block(panels, f"{swim.name}: measured and simulated", caption))
+    if diagnosis.next_experiment is not None:
+        blocks.append(Text(diagnosis.next_experiment.statement, heading="What to record next"))
     unlikely = [e for e in diagnosis.effects if e.probability < least]
     considered: list[NamedEffect | Rival] = [*unlikely, *diagnosis.rivals]
     others = [(e.effect, e.component, percent(e.probability)) for e in considered]

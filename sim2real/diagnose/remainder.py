@@ -1,9 +1,4 @@
-"""In which part of a joint's motion the error is that a model leaves, how much, what to record.
-
-Of some parts of the motion (near reversals, fast, slow, at rest, one direction, far from the
-set-point, early) that one is told whose share of the squared error differs most from its share of
-the time, by the relative entropy of the two.
-"""
+"""In which part of a joint's motion the error is that a model leaves, how much, what to record."""
 
 from __future__ import annotations
 
@@ -13,42 +8,27 @@ import numpy as np
 
 from sim2real.arrays import Array, Mask
 from sim2real.diagnose.decision import DECISION
+from sim2real.inference.segments import most_uneven
 from sim2real.servo.linearised import smooth_speed
 from sim2real.servo.trace import Trace
 from sim2real.units import three_digits
 
 
-def remainder(
-    traces: Sequence[Trace], residuals: Array, noise: float, *, least: float = 0.1
-) -> str:
+def remainder(traces: Sequence[Trace], residuals: Array, noise: float) -> str:
     """A sentence on residuals in rad, shape (R, T), beyond a noise of this standard deviation, rad.
 
-    It is empty where they are no more than joints leave that miss nothing. ``least`` is the
-    relative entropy from which a part is told, as of 72 % of the squared error in half of the time.
+    It is empty where they are no more than joints leave that miss nothing.
     """
-    pairs = list(zip(traces, residuals, strict=False))
+    pairs = zip(traces, residuals, strict=False)
     square = np.concatenate([trace.standardised(x[: trace.t.size]) ** 2 for trace, x in pairs])
     used = np.concatenate([trace.used for trace in traces]) & np.isfinite(square)
     if not used.any() or square[used].mean() <= DECISION.structured_excess * noise**2:
         return ""
-    square -= noise**2
-    found = []
-    for words, mask, advice in _parts(traces):
-        time = float(mask[used].mean())
-        share = min(float(square[used & mask].sum() / square[used].sum()), 1.0)
-        if share > time > 0:
-            found.append((_entropy(share, time), share, time, words, advice))
-    entropy, share, time, words, advice = max(found, default=(0.0, 0.0, 0.0, "", ""))
-    if entropy < least:
-        return "The error that remains is spread over the whole motion."
-    of = f"{100 * share:.0f} % of the squared error that remains beyond the noise is {words}"
-    return f"{of}, in {100 * time:.0f} % of the time. {advice} to learn more."
-
-
-def _entropy(p: float, q: float) -> float:
-    """Relative entropy of two shares and their complements."""
-    rest = (1 - p) * np.log((1 - p) / (1 - q)) if p < 1 else 0.0
-    return float(p * np.log(p / q) + rest)
+    beyond = np.maximum(square[used] - noise**2, 0.0)
+    part = most_uneven(beyond, ((words, mask[used], x) for words, mask, x in _parts(traces)))
+    if part is None:
+        return "The model leaves an error that is spread over the whole motion."
+    return f"The model leaves an error, {part}. {part.advice} to learn more."
 
 
 def _parts(
@@ -73,7 +53,8 @@ def _parts(
     for x in np.nanquantile(error, levels):
         words = f"where the angle is more than {three_digits(float(x))} rad from its set-point"
         yield words, error > x, "Record steps of several sizes"
-    for x in np.quantile(np.abs(speed[np.abs(speed) > rest]), levels):
+    moving = np.abs(speed[np.abs(speed) > rest])
+    for x in np.quantile(moving, levels) if moving.size else ():
         words = f"{three_digits(float(x))} rad/s"
         yield f"at speeds above {words}", np.abs(speed) > x, "Record ramps of several high speeds"
         slow = (np.abs(speed) > rest) & (np.abs(speed) <= x)

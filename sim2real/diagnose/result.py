@@ -38,7 +38,9 @@ class Mismatch:
     component: str  # the part that it belongs to: a joint, ``supply`` or ``link``
     rmse: float  # error of the plain servo on held-out data, rad
     noise: float  # standard deviation of the measurement noise, rad
-    share: float  # share of the error's variance that is not noise, 0 to 1
+    # share of the error's variance that is not noise, 0 to 1; of swims, of the residual of all
+    # signals, in standard deviations, that is in this one
+    share: float
     windows_s: Mapping[str, tuple[tuple[float, float], ...]]  # its segments, by recording, s
     where: str  # description of the states in which it occurs
     dependence: Mapping[str, float] = field(default_factory=dict)

@@ -24,6 +24,18 @@ def test_the_same_seed_draws_the_same_set(code):
                  for s in c.strength.values()]  # fmt: skip
     assert min(strengths) < 0.4
     assert 2.0 < max(strengths) <= 3.0
+    chosen = code["sealed"].made(5, 4, 2, code["sealed"].COUNTS, ("tether", "coulomb_friction"))[1]
+    drawn = {name for case in chosen if case.kind == "single" for name in case.effects}
+    assert drawn == {"tether", "coulomb_friction"}
+
+
+def test_each_servo_has_its_own_friction(code):
+    concealed = {"coulomb_friction": {"torque_Nm": 0.01, "j2.torque_Nm": 0.03}}
+    truths = [code["truth"].Truth("x", concealed), code["truth"].Truth("y")]
+    servos = code["servos"].Servos(truths, 3, 1e-3, np.random.default_rng(0))
+    turn, rate = np.zeros((2, 3)), np.full((2, 3), 10.0)
+    lost = np.diff(servos.torque(0.0, turn, rate, np.zeros((2, 1))), axis=0)[0]
+    np.testing.assert_allclose(lost, [0.01, 0.04, 0.01])
 
 
 def test_a_drawn_robot_carries_a_bar_whose_drag_its_file_states(code, tmp_path):
