@@ -288,7 +288,8 @@ def main() -> None:
         raise SystemExit("no motion was predicted: no page")
     numbers = {n: {k: x for k, x in row.items() if k != "svg"} for n, row in rows.items()}
     write_json(REPORT / "known_answers.json", numbers)
-    title, about, made = PAGE["title"], PAGE["subtitle"], provenance([], 0)
+    title, about = PAGE["title"], PAGE["subtitle"]
+    made = provenance([], 0) | {"command": PAGE["run"].removesuffix(" --only")}
     write_page(REPORT / "index.html", title, about, sections(rows), made)
     words = PAGE | {"summary": summary(rows), "counts": table(COUNTED, counts(rows))}
     write_whole(REPORT / "README.md", PAGE["readme"].format(**words))
