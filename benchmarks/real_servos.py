@@ -151,18 +151,22 @@ def alone() -> None:
     print(table(header, rows))
 
 
+def emps_drive(folder: Path) -> tuple[Recording, Robot]:
+    """The EMPS drive and its recording, whose metres are read as radians."""
+    data = pd.read_csv(folder / "emps.csv")
+    t, sent = data["t_s"].to_numpy(), data[["reference_m"]].to_numpy()
+    link = Link("carriage", MASS_KG, 1.0, 1.0, 1.0)
+    robot = Robot("EMPS", (link, link), (Joint("j1", Servo("drive", 400.0, 10.0, 0.0), (-1, 1)),))
+    return Recording("emps", "servo", ("j1",), t, sent, data[["position_m"]].to_numpy()), robot
+
+
 def emps() -> None:
     """Print the gains of the EMPS drive per unit of mass beside the published ones."""
-    folder = real_recordings() / "emps"
-    data, about = pd.read_csv(folder / "emps.csv"), json.loads((folder / "emps.json").read_text())
+    about = json.loads((real_recordings() / "emps" / "emps.json").read_text())
     control, gain = about["controller"], about["drive_gain_N_per_V"]
     kp = gain * control["kp_per_s"] * control["kv_V_s_per_m"] / MASS_KG
     kd = (gain * control["kv_V_s_per_m"] + VISCOUS) / MASS_KG
-    t, sent = data["t_s"].to_numpy(), data[["reference_m"]].to_numpy()
-    recording = Recording("emps", "servo", ("j1",), t, sent, data[["position_m"]].to_numpy())
-    link = Link("carriage", MASS_KG, 1.0, 1.0, 1.0)
-    joint = Joint("j1", Servo("drive", 400.0, 10.0, 0.0), (-1.0, 1.0))
-    robot = Robot("EMPS", (link, link), (joint,))
+    recording, robot = emps_drive(real_recordings() / "emps")
     rows = [("published", f"{kp:.4g}", f"{kd:.4g}", "", f"{COULOMB_N / MASS_KG:.3f}", "", "")]
     for law, effects in (("pd", ()), ("pd", ("coulomb_friction",)), ("motor", ())):
         model = identify([recording], robot, effects=effects, law=law)

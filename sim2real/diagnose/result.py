@@ -45,6 +45,7 @@ class Mismatch:
     where: str  # description of the states in which it occurs
     dependence: Mapping[str, float] = field(default_factory=dict)
     """Share of the residual torque's variance that each state explains alone."""
+    remainder: str = ""  # where that error is which the enriched model leaves, and what to record
 
     def __str__(self) -> str:
         """The error and the noise: mrad for a joint, m/s or rad/s for a body."""
@@ -230,6 +231,7 @@ class Diagnosis(NotebookDisplay):
             lines += [f"  {percent(e.probability):>5}  {e.statement}{suffix}" for e in effects]
         for entry in self.mismatch:
             lines.append(f"  {entry.described(self.remaining(entry.signal))}")
+            lines += [f"    {entry.remainder}"] if entry.remainder else []
         lines += [f"  {sentence}" for sentence in (*self.above_noise.values(), *self.notes)]
         if self.unfinished:
             lines.append(f"search: {self.search_ended}")

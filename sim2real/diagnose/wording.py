@@ -13,6 +13,7 @@ from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.open_sets import rival_sets, set_probabilities
 from sim2real.diagnose.reading_noise import left_out
 from sim2real.diagnose.references import repeat
+from sim2real.diagnose.remainder import remainder
 from sim2real.diagnose.result import (
     DetectionLimit,
     Diagnosis,
@@ -197,6 +198,7 @@ def _mismatch(joint: JointFindings) -> Mismatch:
         where=_where(joint, segments),
         # Shares of the innovations' energy that a smooth function of each state explains.
         dependence={x: float(1 - np.exp(-2 * max(gain, 0.0) / count)) for x, gain in driven},
+        remainder="" if joint.finding.link else remainder(joint.joint.traces, joint.after, noise),
     )
 
 

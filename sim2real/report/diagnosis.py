@@ -132,8 +132,9 @@ def _remains(diagnosis: Diagnosis, mismatch: Mismatch) -> str:
     joint = mismatch.signal.rpartition(".")[0] or mismatch.component
     before, remaining, noise = map(milliradians, (mismatch.rmse, after, mismatch.noise))
     times = f"{after / mismatch.noise:.1f} times the noise" if mismatch.noise > 0 else "no noise"
-    change = f"The effects reduce the error of {joint} from {before} to {remaining}"
-    return f"{change}, {times} ({noise})."
+    named = any(e.component in (joint, "supply", "link") for e in diagnosis.effects)
+    what = "named effects change" if named else "model chosen for prediction changes"
+    return f"The {what} the error of {joint} from {before} to {remaining}, {times} ({noise})."
 
 
 def _told(effect: NamedEffect) -> str:
@@ -219,12 +220,14 @@ def _what(diagnosis: Diagnosis) -> list[Block]:
         drawing = svg(candidate_figure(diagnosis))
         blocks += [Text(text, heading="What is missing"), Figure(drawing, caption)]
     blocks += [*_ladders(diagnosis), *effect_tables(diagnosis), *_shifts(diagnosis)]
-    for joint in (mismatch.component for mismatch in diagnosis.mismatch):
+    for mismatch in diagnosis.mismatch:
+        joint, text = mismatch.component, mismatch.remainder
         unknown = diagnosis.unknown.get(joint, 0.0)
         if unknown > 0.5 or diagnosis.verdict == "unexplained":
-            text = f"No effect in the catalogue explains the residual of {joint}."
-            text += f" The probability of that is {sure(unknown)}." if unknown > 0.5 else ""
-            blocks.append(Text(text, heading=f"Unexplained residual of {joint}"))
+            chance = f" The probability of that is {sure(unknown)}." if unknown > 0.5 else ""
+            text = f"No effect in the catalogue explains the residual of {joint}.{chance} {text}"
+        if text:
+            blocks.append(Text(text.strip(), heading=f"Unexplained residual of {joint}"))
     return blocks
 
 

@@ -256,6 +256,11 @@ def test_what_is_unexplained_says_so_and_how_surely():
     assert "Coloured" not in text
     assert blocks[0].kind == "warn" and "no effect in the catalogue explains" in text
     assert "enriched" not in text and [row[2] for row in table(blocks, "error of").rows] == ["–"]
+    assert "model chosen for prediction changes the error of j2" in text
+    assert "named effects change the error of j2" in explained()[0]
+    located = replace(UNEXPLAINED, mismatch=(replace(MISMATCH, remainder="70 % is at rest."),))
+    assert "70 % is at rest." in said(located)[0].replace("\u00a0", " ")
+    assert "70 % is at rest." in str(located)
 
 
 def test_torque_without_a_known_load_is_per_inertia():
