@@ -11,7 +11,7 @@ import mujoco_plant
 import numpy as np
 import own_plant
 import voltage_plant
-from bench import JOINTS, RECORDINGS, _log_uniform
+from bench import JOINTS, RECORDINGS, Load, _log_uniform
 from bus import draw_bus, draw_packets
 from cases import SAME_JOINT_SHARE, STRAY_SHARE, STRONGEST, WEAKEST, WEAKEST_OF_TWO, _draw_model
 from catalogue import EFFECTS, NOMINAL, Scale
@@ -90,6 +90,9 @@ OUTSIDE = {
 
 for _of_plant in (CAN, BACKLASH_WITH_FRICTION, OUTSIDE):
     _of_plant[HOBBY] = _of_plant["gears"]
+RATTLING = "backlash_rattling"
+"""Single backlashes without friction, of loads without weight and damping by the output's speed."""
+BACKLASH_WITH_FRICTION[HOBBY] += (RATTLING,)
 SIMULATORS = {"mujoco": mujoco_plant, "voltage": voltage_plant} | dict.fromkeys(GEARED, gear_plant)
 
 
@@ -151,8 +154,11 @@ def draw_case(plant: str, kind: str, name: str, rng: np.random.Generator) -> For
     servos = draw_servos(plant, rng)
     while name in (*LINK, "voltage_sag", "supply_droop", "neighbour_reaction") and len(servos) < 2:
         servos = draw_servos(plant, rng)
-    if name in BACKLASH_WITH_FRICTION[plant]:
-        for servo in servos:
+    for servo in servos:
+        if name == RATTLING:
+            servo.firmware_damping = 1.0
+            servo.loads = {k: Load(x.inertia_kgm2) for k, x in servo.loads.items()}
+        elif name in BACKLASH_WITH_FRICTION[plant]:
             strength = _log_uniform(rng, WEAKEST_OF_TWO, STRONGEST)
             servo.dry_friction_Nm = strength * NOMINAL["coulomb_friction"]
             servo.friction_on_output = name == "backlash_output_friction"

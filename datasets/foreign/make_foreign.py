@@ -152,7 +152,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         metavar="EFFECT",
         help="effects of the single cases, in equal numbers, each by the plants that have it;"
         " default: all effects of the catalogue that a plant has. backlash_motor_friction and"
-        " backlash_output_friction are backlashes of servos with dry friction on one side",
+        " backlash_output_friction are backlashes of servos with dry friction on one side;"
+        " of backlash_rattling, of the hobby plant, neither friction nor weight holds the output",
     )
     parser.add_argument("--no-oracle", action="store_true", help="leave out what a knower can tell")
     parser.add_argument("--consult", action="store_true", help="of a set that is there: only that")

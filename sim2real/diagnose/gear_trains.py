@@ -1,9 +1,10 @@
 """Gear trains of two masses, which a linear look at one start of each effect misses.
 
-Their fits have branches: the controller on either side, dry friction on either side, a light rotor
-or a heavy one. From the plain servo and from the set that explains a joint best without dry
-friction and gears, both also with Coulomb friction, many starts are compared at their full
-strength, and the best of each branch are fitted.
+Their fits have many minima: the controller on either side, dry friction on either side, and
+contacts whose order depends on gap, rotor and rebounds. A rotor that is part of the inertia of a
+servo leaves the motion of the whole as it was, so many starts are compared at full strength with a
+fit that has no gear train. The best of each branch are fitted, and then starts around what fits
+best.
 """
 
 from __future__ import annotations
@@ -16,32 +17,46 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.diagnose.case import UNMODELLED_INERTIA
 from sim2real.diagnose.free_parameters import BRANCHES
-from sim2real.diagnose.screening import Candidate, Screen, candidate, may_join
+from sim2real.diagnose.screening import NUISANCES, Candidate, candidate, may_join
 from sim2real.diagnose.servo_search import Job, ServoSearch
 from sim2real.effects import named
-from sim2real.effects.effect import Effect
 from sim2real.identification.servo_problem import Hypothesis, Set, Tried
+from sim2real.inference.parameters import kronecker
 from sim2real.servo.parameters import (
+    COLUMNS,
     CONTROL_SIDE,
     FIRST_COLUMN,
+    FIRST_EFFECT_COLUMN,
     INERTIA_LEFT_OUT,
     TRAIN_ROTORS,
     TRAINS,
 )
 
 _COULOMB = "coulomb_friction"
-_OUTPUT_FRICTION = "output_friction_Nm"
+_RUB, _SPRING = FIRST_COLUMN[_COULOMB], FIRST_COLUMN["compliance"]
+_OUTPUT_FRICTION, _ROTOR_NAME = "output_friction_Nm", "rotor_inertia_kgm2"
 _STARTS = {
-    "gap_rad": (0.15, 0.3, 0.6, 1.2, 2.4),
+    "gap_rad": (0.15, 0.25, 0.4, 0.65, 1.1, 1.8, 3.0),
     "compliance_rad_per_Nm": (0.3, 1.0, 3.0, 10.0),
-    "rotor_inertia_kgm2": (0.5, 1.2, 3.0),
-    _OUTPUT_FRICTION: (0.0, 1.0),
+    _ROTOR_NAME: (0.2, 0.4, 0.8, 1.4, 2.4),
+    _OUTPUT_FRICTION: (0.0, 0.5, 1.0),
     CONTROL_SIDE: (0.0, 1.0),
     "sensor_on_output": (0.0, 1.0),
-    "restitution": (0.0, 1.0),
+    "restitution": (0.0, 0.8, 1.2, 1.6),
     "damping_ratio": (1.0, 4.0),
 }
-"""Starting values in typical values; friction on the output in that of the best fit."""
+"""Starting values in typical values; friction on the output in that of the fit without a train."""
+_WAVES = [FIRST_COLUMN[effect.name] for effect in NUISANCES]
+"""Columns of the sizes of waves that every servo has; fitted without a train, they imitate it."""
+_WIDTHS = 0.7, 0.35, 0.35, 0.15
+"""Logarithms of the largest factors by which starts around a fit differ from it."""
+_SCALES = [
+    k
+    for k, name in enumerate(COLUMNS)
+    if k in TRAIN_ROTORS
+    or ("Nm" in name.replace("per_Nm", "") and (k < 2 or k >= FIRST_EFFECT_COLUMN))
+]
+"""Columns of torques and of rotors, which are in proportion to the inertia."""
 
 
 def try_gear_trains(problem: ServoSearch, cases: Sequence[Tried]) -> None:
@@ -53,50 +68,83 @@ def try_gear_trains(problem: ServoSearch, cases: Sequence[Tried]) -> None:
         and not problem.exhausted(tried)
         and (_of_gears(tried.best) or problem.remains(tried, tried.best.members))
     ]
-    places = list(_places(problem, some))
-    lists = [
-        [_with_starts(problem, tried, name) for name in TRAINS if may_join(named(name), h.members)]
-        for tried, h in places
-    ]
-    places, lists = _kept(places, lists)
-    jobs: list[Job] = []
-    for (tried, h), options, seen in zip(
-        places, lists, problem.screened(places, lists), strict=True
-    ):
-        for k, option in enumerate(options):
-            for start in _best_of_branches(option, seen, k):
-                theta = h.fit.servos.theta[0].copy()
-                theta[option.columns] = start
-                jobs.append((tried, h.members | {option.effect.name}, theta))
     before = problem.batch.substeps.copy()
-    problem.try_all(jobs)
-    problem.try_all(list(_whole_inertias(some)))
+    places = [
+        (tried, h, [_grid(problem, tried, h, x) for x in TRAINS if may_join(named(x), h.members)])
+        for tried, h in _places(problem, some)
+    ]
+    _follow(problem, places)
+    for width in _WIDTHS:
+        near = [
+            (tried, h)
+            for tried in some
+            for h in _with_train(tried)
+            if h.evidence > tried.best.evidence - problem.limits.near
+        ]
+        _follow(problem, [(*one, [_around(problem, *one, width)]) for one in near])
+    problem.try_all(list(_whole_loads(problem, some)))
     problem.spent_before += problem.batch.substeps - before  # not of the search's budget
 
 
-def _full_gain(seen: Screen) -> Array:
-    """Gains in log-likelihood by starts as they are, not by their best strength, shape (S,)."""
-    return np.asarray(seen.score * seen.visible - 0.5 * seen.visible**2)
+def _follow(
+    problem: ServoSearch,
+    places: Sequence[tuple[Tried, Hypothesis, list[Candidate]]],
+    *,
+    most: int = 4,
+) -> None:
+    """Fit the starts that are best at full strength, ``most`` of each branch, of other sizes."""
+    places = [place for place in places if place[2]]
+    with np.errstate(over="ignore", invalid="ignore"):  # some trains are unstable
+        screens = problem.screened([place[:2] for place in places], [place[2] for place in places])
+    jobs: list[Job] = []
+    for (tried, h, options), seen in zip(places, screens, strict=True):
+        with np.errstate(invalid="ignore"):
+            full = seen.score * seen.visible - 0.5 * seen.visible**2  # gains in log-likelihood
+        for k, option in enumerate(options):
+            mine = np.flatnonzero(seen.candidate == k)
+            mine = mine[np.argsort(-full[mine], kind="stable")]
+            starts = option.starts[seen.start[mine]]
+            branch = np.stack([option.of(name, seen.start[mine]) > 0 for name in BRANCHES], axis=1)
+            for one in np.unique(branch, axis=0):
+                here = starts[(branch == one).all(axis=1)]
+                first = np.sort(np.unique(here[:, 0], return_index=True)[1])[:most]
+                for start in here[first]:
+                    theta = h.fit.servos.theta[0].copy()
+                    theta[option.columns] = start
+                    members = h.members | {option.effect.name, UNMODELLED_INERTIA}
+                    if theta[_RUB] == 0:
+                        members -= {_COULOMB}
+                    jobs.append((tried, members, theta))
+    problem.try_all(jobs, free=True)
 
 
-def _whole_inertias(some: Sequence[Tried]) -> Iterator[Job]:
-    """The best of each gear train, with a stated load that includes the rotor."""
+def _scaled(theta: Array, load_kgm2: float) -> Array:
+    """A row (P,) that moves the same with no inertia in addition to the stated load."""
+    row = theta.copy()
+    factor = load_kgm2 / (load_kgm2 + row[INERTIA_LEFT_OUT])
+    row[_SCALES] *= factor
+    row[_SPRING] /= factor
+    row[INERTIA_LEFT_OUT] = 0.0
+    return row
+
+
+def _with_train(tried: Tried) -> list[Hypothesis]:
+    """The best set with each gear train, and with a free inertia."""
+    free = [h for h in tried.tried.values() if UNMODELLED_INERTIA in h.members]
+    of = [[h for h in free if name in h.members] for name in TRAINS]
+    return [max(some, key=lambda h: h.evidence) for some in of if some]
+
+
+def _whole_loads(problem: ServoSearch, some: Sequence[Tried]) -> Iterator[Job]:
+    """The best of each gear train, the rotor in addition to the stated load.
+
+    It moves the same where neither the load's weight nor a limit of the motor shows the scale.
+    """
     for tried in some:
-        for name, rotor in zip(TRAINS, TRAIN_ROTORS, strict=True):
-            found = [h for h in tried.tried.values() if name in h.members]
-            best = max(found, key=lambda h: h.evidence, default=None)
-            if best is not None and UNMODELLED_INERTIA not in best.members:
-                theta = best.fit.servos.theta[0].copy()
-                theta[INERTIA_LEFT_OUT] -= theta[rotor]
-                yield tried, best.members | {UNMODELLED_INERTIA}, theta
-
-
-def _kept(
-    places: list[tuple[Tried, Hypothesis]], lists: list[list[Candidate]]
-) -> tuple[list[tuple[Tried, Hypothesis]], list[list[Candidate]]]:
-    """Places at which there is something to try."""
-    some = [k for k, options in enumerate(lists) if options]
-    return [places[k] for k in some], [lists[k] for k in some]
+        if UNMODELLED_INERTIA not in tried.base:
+            for h in _with_train(tried):
+                theta = _scaled(h.fit.servos.theta[0], problem.strength(tried)[1])
+                yield tried, h.members - {UNMODELLED_INERTIA}, theta
 
 
 def _of_gears(best: Hypothesis) -> Set:
@@ -130,7 +178,7 @@ def _places(problem: ServoSearch, some: Sequence[Tried]) -> Iterator[tuple[Tried
             row = best.fit.servos.theta[0].copy()
             jobs.append((tried, smooth, row))
             row = row.copy()
-            row[FIRST_COLUMN[_COULOMB]] = friction
+            row[_RUB] = friction
             if friction > 0:
                 jobs.append((tried, smooth | {_COULOMB}, row))
     problem.try_all([job for job in jobs if job[1] not in job[0].tried])
@@ -138,27 +186,42 @@ def _places(problem: ServoSearch, some: Sequence[Tried]) -> Iterator[tuple[Tried
         yield tried, tried.tried[members]
 
 
-def _with_starts(problem: ServoSearch, tried: Tried, name: str) -> Candidate:
-    """A gear train with all its starts, scaled to a servo."""
-    effect: Effect = named(name)
-    wide = replace(
-        effect, parameters=tuple(replace(p, starts=_STARTS[p.name]) for p in effect.parameters)
+def _grid(problem: ServoSearch, tried: Tried, place: Hypothesis, name: str) -> Candidate:
+    """A gear train with all its starts, of the inertia and the dry friction of a fit."""
+    effect, row = named(name), place.fit.servos.theta[0]
+    wide = tuple(replace(p, starts=_STARTS[p.name]) for p in effect.parameters)
+    option = candidate(replace(effect, parameters=wide), *problem.strength(tried))
+    starts, names = option.starts, [p.name for p in wide]
+    rub = np.full(len(starts), row[_RUB])
+    if _OUTPUT_FRICTION in names:
+        moved = starts[:, names.index(_OUTPUT_FRICTION)]
+        moved *= row[_RUB] / moved.max()
+        rub -= moved
+    left_out = row[INERTIA_LEFT_OUT] - starts[:, names.index(_ROTOR_NAME)]
+    starts = np.column_stack([starts, rub, left_out])
+    waves = [
+        np.column_stack([starts, np.tile(size, (len(starts), 1))])
+        for size in (row[_WAVES], 0 * row[_WAVES])
+    ]
+    columns = np.append(option.columns, [_RUB, INERTIA_LEFT_OUT, *_WAVES]).astype(np.int32)
+    return replace(option, columns=columns, starts=np.unique(np.concatenate(waves), axis=0))
+
+
+def _around(
+    problem: ServoSearch, tried: Tried, place: Hypothesis, width: float, *, draws: int = 400
+) -> Candidate:
+    """Gear trains around a fitted one, whose parameters differ by factors of up to exp(width)."""
+    trains = sorted(place.members.intersection(TRAINS))
+    options = [candidate(named(name), *problem.strength(tried)) for name in trains]
+    columns, low, high = (
+        np.concatenate([getattr(option, field) for option in options])
+        for field in ("columns", "low", "high")
     )
-    option = candidate(wide, *problem.strength(tried))
-    names = [p.name for p in effect.parameters]
-    if _OUTPUT_FRICTION in names and (friction := _friction_Nm(tried.best)) > 0:
-        place = names.index(_OUTPUT_FRICTION)
-        option.starts[option.starts[:, place] > 0, place] = friction
-    return option
-
-
-def _best_of_branches(option: Candidate, seen: Screen, k: int) -> Iterator[Array]:
-    """Starts of the k-th candidate that fit best at their full strength, of each branch."""
-    mine = np.flatnonzero(seen.candidate == k)
-    full = _full_gain(seen)[mine]
-    starts = option.starts[seen.start[mine]]
-    names = (*BRANCHES, "gap_rad")
-    of = np.stack([option.of(name, seen.start[mine]) for name in names], axis=1)
-    for branch in np.unique(of, axis=0):
-        here = np.flatnonzero((of == branch).all(axis=1))
-        yield starts[here[full[here].argmax()]]
+    fitted = place.fit.servos.theta[0, columns]
+    spread = kronecker(draws, columns.size, np.random.default_rng(0))
+    spread[:, [COLUMNS[k].endswith(CONTROL_SIDE) for k in columns]] = 0.5
+    starts = np.clip(fitted * np.exp(width * (2 * spread - 1)), low, high)
+    rotor = int(np.flatnonzero(np.isin(columns, TRAIN_ROTORS))[0])
+    left_out = place.fit.servos.theta[0, INERTIA_LEFT_OUT] + fitted[rotor] - starts[:, rotor]
+    columns = np.append(columns, INERTIA_LEFT_OUT).astype(np.int32)
+    return replace(options[0], columns=columns, starts=np.column_stack([starts, left_out]))

@@ -19,10 +19,10 @@ from sim2real.units import readable
 
 BAND_HZ, LOWEST_HZ = 1.0, 4.0
 """Width of a band of the spectrum, and where bands begin."""
-GAP_SHARE = 0.035
-"""Standard deviation of a rattle over the gap, of three simulated gear trains: a rough figure.
+GAP_SHARES = 0.035, 0.2
+"""Standard deviation of a rattle over the gap, of 16 simulated gear trains at rest.
 
-Their flanks had a restitution of about 0.6; others damp the rattle, or stop it."""
+With friction or a weight that holds the output, or with well damped flanks, none rattles."""
 _FEWEST_BANDS = 6
 
 
@@ -35,11 +35,12 @@ class Rattle:
     ratio: float  # power in the peak's band over the median band
 
     def __str__(self) -> str:
-        """The rattle in words, with the gap that would make it."""
-        size, gap = (readable("gap_rad", x) for x in (self.sd_rad, self.sd_rad / GAP_SHARE))
+        """The rattle in words, with the gaps that would make it."""
+        gaps = (self.sd_rad / share for share in GAP_SHARES)
+        size, most, least = (readable("gap_rad", x) for x in (self.sd_rad, *gaps))
         return (
             f"also at rest: a rattle of {size} near {self.frequency_Hz:.0f} Hz or an alias, as of "
-            f"gears with a gap of {gap}, or a vibration from outside"
+            f"gears with a gap of {least} to {most}, or a vibration from outside"
         )
 
 

@@ -15,7 +15,7 @@ from sim2real.inference import least_squares, selection
 from sim2real.inference.evidence import profile_loglikelihood
 from sim2real.inference.least_squares import OUTLIER_SD, Expansion
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.parameters import COLUMNS, LINE
+from sim2real.servo.parameters import COLUMNS, FIRST_COLUMN, LINE
 from sim2real.servo.trace import Trace
 
 Set = frozenset[str]
@@ -35,8 +35,11 @@ FLAT_COLUMNS = np.array([COLUMNS.index(f"{SATURATION}.{x}") for x in ("limit_Nm"
 """Columns of a limit at any speed, and of the damping beyond it."""
 LINE_ROOM = 1.5
 """Largest factor by which a fitted limit may differ from its starting value."""
-DIFFERENCE = 2e-4
-"""Step of the forward differences, in units."""
+DIFFERENCE, CONTACT_DIFFERENCE = 2e-4, 0.02
+"""Steps of the forward differences, in units; the second where gears have a gap.
+
+Single contacts make the error a rough function of the parameters: a step averages over it."""
+_GAP = FIRST_COLUMN["backlash"]
 
 
 @dataclass(frozen=True)
@@ -353,7 +356,8 @@ def variants(servos: Servos) -> Problems:
     column = servos.columns[row, place]
     value = servos.theta[row, column]
     # The step is towards the inside of the bounds.
-    size = DIFFERENCE * servos.unit[row, place]
+    step = np.where(servos.theta[row, _GAP] > 0, CONTACT_DIFFERENCE, DIFFERENCE)
+    size = step * servos.unit[row, place]
     size = np.where(value + size > servos.high[row, place], -size, size)
     theta[row, 1 + place, column] = value + size
     scale = np.zeros((N, 1 + F))

@@ -12,12 +12,12 @@ NOISE, PERIOD = simulated.NOISE, 0.02
 STILL = simulated.recording(seconds=30.0, command=lambda t: 0.0 * t)
 
 
-@pytest.mark.parametrize("on_output", [0.0, 1.0])
-def test_a_gap_is_found_behind_friction_with_the_controller_on_either_side(on_output):
-    """The stated load is that of the output; friction holds it in the gap."""
+@pytest.mark.parametrize(("on_output", "restitution"), [(0.0, 0.0), (1.0, 0.6)])
+def test_a_gap_is_found_behind_friction_on_either_side(on_output, restitution):
+    """The stated load is that of the output; friction holds it in the gap, flanks may rebound."""
     play = {
         "gap_rad": 0.04, "rotor_inertia_kgm2": 4e-4, "output_friction_Nm": 0.04,
-        "control_on_output": on_output,
+        "control_on_output": on_output, "restitution": restitution,
     }  # fmt: skip
     found = diagnose(
         [simulated.recording(k, f"{k}", seconds=12.0, noise=5e-4, backlash=play) for k in (1, 2)],
