@@ -11,7 +11,15 @@ import numpy as np
 from sim2real.arm.arm_loads import with_arm_loads
 from sim2real.arrays import Array
 from sim2real.diagnose.calibrated_odds import judged_and_offered
-from sim2real.diagnose.case import Case, JointCase, batch_of, on_one_clock, prepared, simulated
+from sim2real.diagnose.case import (
+    Case,
+    JointCase,
+    batch_of,
+    on_one_clock,
+    prepared,
+    simulated,
+    with_slow_errors,
+)
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.effect_search import first_look
 from sim2real.diagnose.investigate import placed
@@ -150,6 +158,7 @@ def examined(
     case = with_known_servos(_with_laws_open(case), rng)
     recorded = prepared(case)
     joints, first = _first_look(recorded, rng, device)
+    joints = [with_slow_errors(*pair) for pair in zip(joints, (x.best for x in first), strict=True)]
     if not any(joint.references for joint in joints):
         batch = batch_of(joints, device)
         joints = on_one_clock(batch, joints, [tried.best for tried in first])

@@ -201,10 +201,16 @@ def unmodelled(batch: Batch, joints: Sequence[Sequence[Trace]], plain: Fits) -> 
 def beyond_noise(
     batch: Batch, joints: Sequence[Sequence[Trace]], fits: Fits
 ) -> tuple[Array, list[float]]:
-    """What one fit a joint leaves, shape (J, R, T), and the ``excess`` of each."""
+    """What one fit a joint leaves, shape (J, R, T), and the ``excess`` of each.
+
+    Where the noise has slow errors, these are in it, and the excess is that of its innovations.
+    """
     residuals, noise = residual_angles(batch, fits), np.sqrt(fits.error2 / fits.count)
     return residuals, [
-        excess(residuals[j], traces, batch, float(noise[j])) for j, traces in enumerate(joints)
+        excess(residuals[j], traces, batch, float(noise[j]))
+        if traces[0].slow is None
+        else float(noise[j] / traces[0].slow.noise_rad) ** 2
+        for j, traces in enumerate(joints)
     ]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from sim2real.arrays import Array, Mask
 from sim2real.errors import InputError
-from sim2real.inference.correlated_noise import counting, lags
+from sim2real.inference.correlated_noise import SlowErrors, counting, lags
 from sim2real.noise import noise_floor, quantization_step
 from sim2real.recording import PER_INERTIA, Load, Recording, VaryingLoad
 from sim2real.structured import Fields
@@ -52,6 +52,7 @@ class Trace:
     # standard deviation of the noise of each reading, relative to that of a joint at rest, (T,);
     # None where it is the same for all
     spread: Array | None = None
+    slow: SlowErrors | None = None  # slow errors beside the noise; None if there are none
 
     def window(self, length_s: float = 8.0) -> Trace:
         """The trace from the first change of the command on, for at most ``length_s`` seconds."""
@@ -91,6 +92,12 @@ class Trace:
     def duration_s(self) -> float:
         """Time between the first and the last sample, s."""
         return float(self.t[-1] - self.t[0])
+
+    def speed(self, *, samples: int = 5) -> Array:
+        """Mean speed of the measured angle around each sample, rad/s, shape (T,)."""
+        angle = np.interp(self.t, self.t[self.used], self.position[self.used])
+        padded = np.pad(np.gradient(angle, self.t), samples // 2, mode="edge")
+        return np.convolve(padded, np.full(samples, 1 / samples), mode="valid")
 
     def quantization_step(self) -> float:
         """Step on which the used angles lie, in rad; 0 if there is none."""
