@@ -8,7 +8,13 @@ from functools import partial
 
 import numpy as np
 
-from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase, batch_of, with_own_latency, with_slow_errors
+from sim2real.diagnose.case import (
+    UNMODELLED_INERTIA,
+    JointCase,
+    batch_of,
+    with_own_latency,
+    with_slow_errors,
+)
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.effect_probabilities import EffectPosterior, Group, posteriors
 from sim2real.diagnose.effect_search import (

@@ -158,4 +158,3 @@ def _differences(trace: Trace, order: int) -> tuple[Array, Array]:
     weight /= np.linalg.norm(weight, axis=1, keepdims=True)
     speed = np.abs(angles[:, -1] - angles[:, 0]) / (times[:, -1] - times[:, 0])
     return np.sum(weight * (angles - angles[:, :1]), axis=1), speed
-

@@ -21,6 +21,7 @@ from sim2real.inference.correlated_noise import SlowErrors
 from sim2real.servo.rollout import padded, to_warp
 from sim2real.servo.trace import Trace
 
+
 @wp.kernel(enable_backward=False)
 def _whiten(
     signal: wp.array(dtype=wp.int32),
@@ -93,8 +94,8 @@ def slow_errors(
 ) -> SlowErrors:
     """The most probable slow errors of what a servo leaves of its recordings, (R, T) in rad.
 
-    ``noise_rad`` is the white noise at rest. Sizes and times are lognormal a priori, with ``log_sd``
-    as standard deviation of the logarithm.
+    ``noise_rad`` is the white noise at rest. Sizes and times are lognormal a priori, ``log_sd``
+    being the standard deviation of the logarithm.
     """
     usual = np.array(astuple(SlowErrors(noise_rad))[1:])
     signal = to_warp(np.arange(len(traces), dtype=np.int32), "cpu")
