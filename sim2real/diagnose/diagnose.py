@@ -41,8 +41,10 @@ from sim2real.identification.servo_problem import (
     Servos,
     Tried,
     joined,
+    minimise,
     minimise_robustly,
     residual_angles,
+    stacked,
 )
 from sim2real.inference.normal import LEVEL
 from sim2real.model import JointModel, Model
@@ -53,7 +55,14 @@ from sim2real.progress import Progress
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import BASE, COLUMNS, FIRST_EFFECT_COLUMN, LOOP, joint_row
+from sim2real.servo.parameters import (
+    BASE,
+    COLUMNS,
+    FIRST_COLUMN,
+    FIRST_EFFECT_COLUMN,
+    LOOP,
+    joint_row,
+)
 from sim2real.servo.trace import Trace, at_one_gain, firmware_gain
 
 __all__ = ["Case", "diagnose", "diagnose_all"]
@@ -257,8 +266,18 @@ def _least_squares(joint: JointCase, traces: Sequence[Trace], servo: Hypothesis)
     return refitted(traces, theta, [e for e in effects if e.fitted and not e.everywhere]).row
 
 
-def _robust(joint: JointCase, traces: Sequence[Trace], servo: Hypothesis) -> Array:
-    """The same, each reading weighted by its noise where that differs between them, shape (P,)."""
+def _robust(
+    joint: JointCase,
+    traces: Sequence[Trace],
+    servo: Hypothesis,
+    *,
+    stiffer: Sequence[float] = (1.0, 1.4, 2.0),
+) -> Array:
+    """The same, each reading weighted by its noise where that differs between them, shape (P,).
+
+    Starts are also ``stiffer``, with as much more friction: at rest these stand in for one another
+    in a long valley, which the search of effects leaves open and a prediction does not.
+    """
     if joint.references or traces[0].spread is None:
         return _least_squares(joint, traces, servo)
     servos = servo.fit.servos
@@ -269,7 +288,13 @@ def _robust(joint: JointCase, traces: Sequence[Trace], servo: Hypothesis) -> Arr
     unit, low, high = (x[:, order] for x in (servos.unit, servos.low, servos.high))
     none = np.zeros(1, dtype=np.int32)
     start = Servos(none, servos.theta, columns[:, order], unit, low, high)
-    fit = minimise_robustly([traces], start, iterations=20)
+    frictions = [FIRST_COLUMN[e] for e in servo.members if named(e).site == "friction"]
+    valley = np.isin(np.arange(len(COLUMNS)), [0, 1, *frictions])
+    along = [replace(start, theta=np.where(valley, k * start.theta, start.theta)) for k in stiffer]
+    starts = stacked([one.at(one.values()) for one in along])  # within their bounds
+    white = minimise(Batch([traces], white=True), starts, iterations=20)
+    best = white.servos[np.array([int(np.nanargmin(white.error2))])]
+    fit = minimise_robustly([traces], best, iterations=20)
     return np.asarray(fit.servos.theta[0])
 
 

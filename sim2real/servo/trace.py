@@ -83,13 +83,14 @@ class Trace:
         """Residuals (T,) or (T, K) with the noise of a joint at rest."""
         return values if self.spread is None else (values.T / self.spread).T
 
-    def scored(self, values: Array) -> Array:
-        """Residuals (T,) with the noise of a joint at rest, slow errors being noise as well."""
+    @property
+    def error_ratio(self) -> Array:
+        """Standard deviations of readings with their slow errors, over the noise at rest, (T,)."""
         if self.slow is None:
-            return self.standardised(values)
+            return self.noise_ratio
         sizes = self.slow.angle_rad, self.slow.delay_s * self.speed()
         variance = sum(np.square(size / self.slow.noise_rad) for size in sizes)
-        return np.asarray(values / np.sqrt(self.noise_ratio**2 + variance))
+        return np.asarray(np.sqrt(self.noise_ratio**2 + variance))
 
     @property
     def period_s(self) -> float:
