@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from simulated import traced
 
+from sim2real.diagnose.servo_search import baselines
+from sim2real.diagnose.torque_speed_line import with_stated_line
+from sim2real.identification.servo_problem import LINE_COLUMNS
 from sim2real.inference.correlated_noise import SlowErrors
+from sim2real.recording import Load
+from sim2real.robot import Servo
+from sim2real.servo.batch import Batch, Problems
+from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.rollout import to_warp
 from sim2real.servo.slow_noise import SlowNoise, slow_errors
 
@@ -55,3 +62,27 @@ def test_slow_errors_are_found_in_what_a_servo_leaves(noisy):
     none = slow_errors([trace], white[None], SLOW.noise_rad)
     assert none.angle_rad < 0.1 * SLOW.angle_rad
     assert none.delay_s < 0.5 * SLOW.delay_s
+
+
+def test_a_hold_that_is_wrong_says_little_of_a_law(noisy):
+    """Of an error that lasts, white noise takes each reading for one that speaks for itself."""
+    trace, _ = noisy
+    wrong = replace(trace, position=trace.position + SLOW.angle_rad)
+
+    def gain(slow):
+        problems = Problems(np.zeros(1, dtype=np.int32), theta[:, None], np.zeros((1, 1)))
+        both = [Batch([[replace(t, slow=slow)]], white=slow is None) for t in (trace, wrong)]
+        right, off = (float(b.evaluate(problems).gram[0, :, 0, 0].sum()) for b in both)
+        return (off - right) / SLOW.noise_rad**2
+
+    theta = baselines(Batch([[trace]], white=True)).servos.theta
+    assert gain(SLOW) < 0.05 * gain(None)
+
+
+def test_no_stated_line_beside_a_limit_of_the_set_points_speed(noisy):
+    trace = replace(noisy[0], load=Load(0.002))
+    servo = Servo("strong", 50.0, 50.0, 0.004)
+    row = baselines(Batch([[trace]], white=True)).servos.theta[0]
+    assert with_stated_line([trace], servo, row)[LINE_COLUMNS].all()
+    row[COLUMNS.index("rate_limit.limit_rad_s")] = 6.0
+    assert not with_stated_line([trace], servo, row)[LINE_COLUMNS].any()
