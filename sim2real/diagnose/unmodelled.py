@@ -201,16 +201,10 @@ def unmodelled(batch: Batch, joints: Sequence[Sequence[Trace]], plain: Fits) -> 
 def beyond_noise(
     batch: Batch, joints: Sequence[Sequence[Trace]], fits: Fits
 ) -> tuple[Array, list[float]]:
-    """What one fit a joint leaves, shape (J, R, T), and the ``excess`` of each.
-
-    Where the noise has slow errors, these are in it, and the excess is that of its innovations.
-    """
+    """What one fit a joint leaves, shape (J, R, T), and the ``excess`` of each."""
     residuals, noise = residual_angles(batch, fits), np.sqrt(fits.error2 / fits.count)
     return residuals, [
-        excess(residuals[j], traces, batch, float(noise[j]))
-        if traces[0].slow is None
-        else float(noise[j] / traces[0].slow.noise_rad) ** 2
-        for j, traces in enumerate(joints)
+        excess(residuals[j], traces, batch, float(noise[j])) for j, traces in enumerate(joints)
     ]
 
 
@@ -219,8 +213,10 @@ def excess(
 ) -> float:
     """Energy of residuals, one a recording, beyond a slow wander, in variances of the noise.
 
-    The residual is whitened for white noise and ``RESIDUAL_WANDER``.
+    The residual is whitened for white noise and ``RESIDUAL_WANDER``, or as its ``SlowErrors`` say.
     """
+    if traces[0].slow is not None:
+        return (noise_rad / traces[0].slow.noise_rad) ** 2
     energy, count = 0.0, 0
     for row, trace in zip(residual, traces, strict=False):
         numerator, denominator, spread = RESIDUAL_WANDER.filter(trace.period_s)

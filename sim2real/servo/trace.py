@@ -144,6 +144,7 @@ def trace(recording: Recording, joint: str) -> Trace:
         if load is None
         else reported_drive(t, command, position, load[powered], context["sample_delay_s"]),
         spread=None,
+        slow=None,
         **context,
     )
 
