@@ -273,7 +273,7 @@ def _robust(
     *,
     stiffer: Sequence[float] = (1.0, 1.4, 2.0),
 ) -> Array:
-    """The same, each reading weighted by its noise where that differs between them, shape (P,).
+    """The same, each reading weighted by its error where that differs between them, shape (P,).
 
     Starts are also ``stiffer``, with as much more friction: at rest these stand in for one another
     in a long valley, which the search of effects leaves open and a prediction does not.
@@ -288,6 +288,7 @@ def _robust(
     unit, low, high = (x[:, order] for x in (servos.unit, servos.low, servos.high))
     none = np.zeros(1, dtype=np.int32)
     start = Servos(none, servos.theta, columns[:, order], unit, low, high)
+    traces = [replace(trace, spread=trace.error_ratio, slow=None) for trace in traces]
     frictions = [FIRST_COLUMN[e] for e in servo.members if named(e).site == "friction"]
     valley = np.isin(np.arange(len(COLUMNS)), [0, 1, *frictions])
     along = [replace(start, theta=np.where(valley, k * start.theta, start.theta)) for k in stiffer]
