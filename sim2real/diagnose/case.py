@@ -17,13 +17,15 @@ from sim2real.diagnose.reading_noise import (
 from sim2real.diagnose.rival_sets import StatedSet, stated_sets
 from sim2real.errors import InputError
 from sim2real.identification.priors import largest_rotor
-from sim2real.identification.servo_problem import Hypothesis, Set, variants
+from sim2real.identification.servo_problem import Hypothesis, Set, residual_angles, variants
+from sim2real.inference.correlated_noise import SlowErrors
 from sim2real.model import JointModel, Model
 from sim2real.recording import PER_INERTIA, Recording
 from sim2real.robot import Robot, Servo
 from sim2real.servo.batch import STEPS_PER_RADIAN, Batch, Problems
 from sim2real.servo.parameters import COLUMNS, INERTIA_LEFT_OUT
 from sim2real.servo.rollout import LONGEST_SUBSTEP_S, rollout_on
+from sim2real.servo.slow_noise import slow_errors
 from sim2real.servo.trace import Trace, check_runs, traces
 
 UNMODELLED_INERTIA = "unmodelled_inertia"
@@ -103,11 +105,14 @@ def prepared(case: Case) -> list[JointCase]:
         if not data:
             continue
         check_runs(data, joint.name)
+        noise = rest_noise(data)
+        if data[0].spread is not None and not case.references:
+            data = [replace(trace, slow=SlowErrors(noise)) for trace in data]
         joints.append(
             JointCase(
                 joint.name,
                 data,
-                rest_noise(data),
+                noise,
                 coarse_step(data, joint.servo.position_step_rad),
                 model=case.model.joints.get(joint.name) if case.model else None,
                 references=with_reading_noise(traces(case.references, joint.name)),
@@ -136,8 +141,9 @@ def batch_of(
     take the much larger errors of motion for noise.
     """
     irregular = all(trace.spread is not None for joint in joints for trace in joint.traces)
+    slow = all(trace.slow is not None for joint in joints for trace in joint.traces)
     traces = [joint.traces for joint in joints]
-    return Batch(traces, device, bounded=bounded, white=irregular, period=period)
+    return Batch(traces, device, bounded=bounded, white=irregular and not slow, period=period)
 
 
 def coarse_step(traces: Sequence[Trace], stated_rad: float) -> float | None:
@@ -211,6 +217,15 @@ def with_own_latency(
         for trace, delay in zip(joint.traces, later, strict=True)
     ]
     return replace(joint, traces=moved)
+
+
+def with_slow_errors(joint: JointCase, servo: Hypothesis) -> JointCase:
+    """The joint with the slow errors that the law of a servo leaves, where reading times jitter."""
+    if joint.traces[0].slow is None:
+        return joint
+    (residual,) = residual_angles(batch_of([joint]), servo.fit.of_joints([0]))
+    slow = slow_errors(joint.traces, residual, joint.noise)
+    return replace(joint, traces=[replace(trace, slow=slow) for trace in joint.traces])
 
 
 def _known(

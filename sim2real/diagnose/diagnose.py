@@ -11,7 +11,15 @@ import numpy as np
 from sim2real.arm.arm_loads import with_arm_loads
 from sim2real.arrays import Array
 from sim2real.diagnose.calibrated_odds import judged_and_offered
-from sim2real.diagnose.case import Case, JointCase, batch_of, on_one_clock, prepared, simulated
+from sim2real.diagnose.case import (
+    Case,
+    JointCase,
+    batch_of,
+    on_one_clock,
+    prepared,
+    simulated,
+    with_slow_errors,
+)
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.effect_search import first_look
 from sim2real.diagnose.investigate import placed
@@ -33,8 +41,10 @@ from sim2real.identification.servo_problem import (
     Servos,
     Tried,
     joined,
+    minimise,
     minimise_robustly,
     residual_angles,
+    stacked,
 )
 from sim2real.inference.normal import LEVEL
 from sim2real.model import JointModel, Model
@@ -45,7 +55,14 @@ from sim2real.progress import Progress
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import BASE, COLUMNS, FIRST_EFFECT_COLUMN, LOOP, joint_row
+from sim2real.servo.parameters import (
+    BASE,
+    COLUMNS,
+    FIRST_COLUMN,
+    FIRST_EFFECT_COLUMN,
+    LOOP,
+    joint_row,
+)
 from sim2real.servo.trace import Trace, at_one_gain, firmware_gain
 
 __all__ = ["Case", "diagnose", "diagnose_all"]
@@ -150,6 +167,7 @@ def examined(
     case = with_known_servos(_with_laws_open(case), rng)
     recorded = prepared(case)
     joints, first = _first_look(recorded, rng, device)
+    joints = [with_slow_errors(*pair) for pair in zip(joints, (x.best for x in first), strict=True)]
     if not any(joint.references for joint in joints):
         batch = batch_of(joints, device)
         joints = on_one_clock(batch, joints, [tried.best for tried in first])
@@ -248,8 +266,18 @@ def _least_squares(joint: JointCase, traces: Sequence[Trace], servo: Hypothesis)
     return refitted(traces, theta, [e for e in effects if e.fitted and not e.everywhere]).row
 
 
-def _robust(joint: JointCase, traces: Sequence[Trace], servo: Hypothesis) -> Array:
-    """The same, each reading weighted by its noise where that differs between them, shape (P,)."""
+def _robust(
+    joint: JointCase,
+    traces: Sequence[Trace],
+    servo: Hypothesis,
+    *,
+    stiffer: Sequence[float] = (1.0, 1.4, 2.0),
+) -> Array:
+    """The same, each reading weighted by its error where that differs between them, shape (P,).
+
+    Starts are also ``stiffer``, with as much more friction: at rest these stand in for one another
+    in a long valley, which the search of effects leaves open and a prediction does not.
+    """
     if joint.references or traces[0].spread is None:
         return _least_squares(joint, traces, servo)
     servos = servo.fit.servos
@@ -260,7 +288,14 @@ def _robust(joint: JointCase, traces: Sequence[Trace], servo: Hypothesis) -> Arr
     unit, low, high = (x[:, order] for x in (servos.unit, servos.low, servos.high))
     none = np.zeros(1, dtype=np.int32)
     start = Servos(none, servos.theta, columns[:, order], unit, low, high)
-    fit = minimise_robustly([traces], start, iterations=20)
+    traces = [replace(trace, spread=trace.error_ratio, slow=None) for trace in traces]
+    frictions = [FIRST_COLUMN[e] for e in servo.members if named(e).site == "friction"]
+    valley = np.isin(np.arange(len(COLUMNS)), [0, 1, *frictions])
+    along = [replace(start, theta=np.where(valley, k * start.theta, start.theta)) for k in stiffer]
+    starts = stacked([one.at(one.values()) for one in along])  # within their bounds
+    white = minimise(Batch([traces], white=True), starts, iterations=20)
+    best = white.servos[np.array([int(np.nanargmin(white.error2))])]
+    fit = minimise_robustly([traces], best, iterations=20)
     return np.asarray(fit.servos.theta[0])
 
 

@@ -146,7 +146,7 @@ def _waved(
     Only nuisances whose gain at first sight is more than ``least_gain``.
     """
     names = sorted(NAMES - base.members)
-    if not names:
+    if not names or problem.batch.slow is not None:  # slow errors are noise already
         return []
     options = [candidate(named(name), *problem.strength(tried)) for name in names]
     (seen,) = problem.screened([(tried, base)], [options])

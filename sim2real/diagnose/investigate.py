@@ -8,7 +8,13 @@ from functools import partial
 
 import numpy as np
 
-from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase, batch_of, with_own_latency
+from sim2real.diagnose.case import (
+    UNMODELLED_INERTIA,
+    JointCase,
+    batch_of,
+    with_own_latency,
+    with_slow_errors,
+)
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.effect_probabilities import EffectPosterior, Group, posteriors
 from sim2real.diagnose.effect_search import (
@@ -128,6 +134,7 @@ def investigate(
     if again:
         for j in again:
             joints[j] = with_own_latency(batch, joints[j], findings[j].best)
+            joints[j] = with_slow_errors(joints[j], findings[j].best)
         some, before = [joints[j] for j in again], [findings[j].tried for j in again]
         free = batch_of(some, batch.device, period=batch.period, bounded=False)
         for j, finding in zip(again, _findings(free, some, before, rng, again=True), strict=True):

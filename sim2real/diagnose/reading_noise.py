@@ -32,7 +32,7 @@ def with_reading_noise(traces: Sequence[Trace]) -> list[Trace]:
     if known is None:
         return kept
     jitter, rest = known
-    return [replace(t, spread=np.hypot(1.0, jitter * _speed(t) / rest)) for t in kept]
+    return [replace(t, spread=np.hypot(1.0, jitter * t.speed() / rest)) for t in kept]
 
 
 def without_wrong_readings(trace: Trace) -> Trace:
@@ -158,11 +158,3 @@ def _differences(trace: Trace, order: int) -> tuple[Array, Array]:
     weight /= np.linalg.norm(weight, axis=1, keepdims=True)
     speed = np.abs(angles[:, -1] - angles[:, 0]) / (times[:, -1] - times[:, 0])
     return np.sum(weight * (angles - angles[:, :1]), axis=1), speed
-
-
-def _speed(trace: Trace, *, samples: int = 5) -> Array:
-    """Mean speed of the measured angle around each sample, rad/s, shape (T,)."""
-    angle = np.interp(trace.t, trace.t[trace.used], trace.position[trace.used])
-    speed = np.abs(np.gradient(angle, trace.t))
-    padded = np.pad(speed, samples // 2, mode="edge")
-    return np.asarray(sliding_window_view(padded, samples).mean(axis=1))

@@ -28,9 +28,10 @@ from sim2real.identification.servo_problem import (
 from sim2real.model import JointModel, Law
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
-from sim2real.servo.parameters import stated
+from sim2real.servo.parameters import COLUMNS, stated
 from sim2real.servo.trace import Trace
 
+_SET_POINT_SPEED = COLUMNS.index("rate_limit.limit_rad_s")
 _LARGER = np.linspace(1.0, 2.0, 26)
 _RIVALS = 6
 """Further effects with which a limit of the motor competes."""
@@ -44,11 +45,14 @@ def models_with_limits(
     The limit is a line of torque and speed, or flat: the data sheet's torque at any speed. It
     competes with the effects of the catalogue: it joins what explains each joint best at first
     sight, or stands in for one of its effects, and is there where no further effect explains more.
+    Where slow errors are part of the noise it is an effect like others, found by the search: little
+    of what tells it from a limited set-point shows at first sight.
     """
     models: dict[int, JointModel] = {}
     for joint, known in zip(joints, tried, strict=True):
         row = known.best.fit.servos.theta[0]
-        if joint.references or joint.base or joint.stall_Nm is None or row[LINE_COLUMNS].any():
+        open_to_all = joint.references or joint.base or joint.traces[0].slow is not None
+        if open_to_all or joint.stall_Nm is None or row[LINE_COLUMNS].any():
             continue
         limit = _better_limit(search, joint, known)
         if limit is not None and known.best.members != known.base:
@@ -113,12 +117,14 @@ def with_stated_line(
 ) -> Array:
     """A servo's parameters (P,) with its data sheet's line, if the recordings do not determine it.
 
-    Without a line, faster motions would be predicted with unlimited torque. If the recordings
+    Without a line, faster motions would be predicted with unlimited torque; but where the speed of
+    the set-point is limited, so are the errors of control, and no line is needed. If the recordings
     exclude the stated torque, the smallest larger one that they allow is used, up to twice the
     stated one, otherwise no line; likewise if the load is unknown. A line is excluded if it costs
     more than ``largest_cost`` of log-likelihood, about the effect of chance on one parameter.
     """
-    if row[LINE_COLUMNS].any() or traces[0].load is PER_INERTIA:
+    known = row[LINE_COLUMNS].any() or row[_SET_POINT_SPEED] > 0
+    if known or traces[0].load is PER_INERTIA:
         return row
     rows = np.tile(row, (1 + _LARGER.size, 1))
     rows[1:, LINE_COLUMNS[0]] = servo.max_torque_Nm * _LARGER

@@ -213,8 +213,10 @@ def excess(
 ) -> float:
     """Energy of residuals, one a recording, beyond a slow wander, in variances of the noise.
 
-    The residual is whitened for white noise and ``RESIDUAL_WANDER``.
+    The residual is whitened for white noise and ``RESIDUAL_WANDER``, or as its ``SlowErrors`` say.
     """
+    if traces[0].slow is not None:
+        return (noise_rad / traces[0].slow.noise_rad) ** 2
     energy, count = 0.0, 0
     for row, trace in zip(residual, traces, strict=False):
         numerator, denominator, spread = RESIDUAL_WANDER.filter(trace.period_s)

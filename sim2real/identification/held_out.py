@@ -31,8 +31,7 @@ class Unseen:
     Attributes:
         residuals: Simulated minus measured angles in rad, one array per fold.
         theta: Parameters fitted to the other samples of each fold, shape (folds, P).
-        standardised: Residuals with the noise of a joint at rest (``Trace.standardised``); none
-            where they are the same.
+        standardised: Residuals over their ``Trace.error_ratio``; none where they are the same.
     """
 
     residuals: tuple[Array, ...]
@@ -99,7 +98,7 @@ def held_out(
     for (n, (_, scored)), error, row in zip(pairs, errors, fits.servos.theta, strict=True):
         left = [(t, e[: t.t.size]) for t, e in zip(scored, error, strict=False)]
         residuals[n].append(np.concatenate([e[t.used] for t, e in left]))
-        standard[n].append(np.concatenate([t.standardised(e)[t.used] for t, e in left]))
+        standard[n].append(np.concatenate([(e / t.error_ratio)[t.used] for t, e in left]))
         theta[n].append(row)
     return [
         Unseen(tuple(plain), np.array(rows), tuple(relative)) if plain else None

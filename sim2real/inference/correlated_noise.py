@@ -56,6 +56,26 @@ RESIDUAL_WANDER = Wander(3.0, 1.5)
 """Usual slow drift of sensors; a residual beyond it is structured."""
 
 
+@dataclass(frozen=True)
+class SlowErrors:
+    """Ornstein-Uhlenbeck errors of a law beside white noise: of an angle, and of its time.
+
+    Standard deviations and correlation times; the defaults are the medians of their prior.
+    """
+
+    noise_rad: float  # of the white noise of a joint at rest
+    angle_rad: float = 3e-3
+    delay_s: float = 3e-3
+    angle_time_s: float = 1.0
+    delay_time_s: float = 0.3
+
+    def process(self, period_s: float) -> Array:
+        """Variances of both, the white noise's being 1, and what a period leaves of them, (4,)."""
+        sizes = np.array([self.angle_rad, self.delay_s]) / self.noise_rad
+        times = np.array([self.angle_time_s, self.delay_time_s])
+        return np.concatenate([sizes**2, np.exp(-period_s / times)])
+
+
 def lags(period_s: float) -> int:
     """Number of coefficients of the autoregression for this time between samples."""
     return int(np.clip(round(MEMORY_S / period_s), FEWEST_LAGS, MOST_LAGS))

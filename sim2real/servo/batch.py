@@ -25,6 +25,7 @@ from sim2real.servo.rollout import (
     trace_contexts,
     workers,
 )
+from sim2real.servo.slow_noise import SlowNoise
 from sim2real.servo.trace import Trace
 
 STEPS_PER_RADIAN = 16.0
@@ -71,7 +72,8 @@ class Batch:
     """Recordings of joints, on a device, ready for problems of any number.
 
     The noise is that of a sensor, whose slow drift is ``bounded``; otherwise it is unbounded, to
-    include errors that no model explains, or always ``white``. ``period``, the median time between
+    include errors that no model explains, or always ``white``. Where all traces have ``SlowErrors``
+    it is white beside these, and ``slow``. ``period``, the median time between
     samples in s, determines the number of lags of the noise model. ``substeps`` has those simulated
     so far for each joint, shape (J,): a machine-independent measure of work, to which a sample and
     the arrival of a set-point count one each.
@@ -92,7 +94,9 @@ class Batch:
             period = float(np.median(np.concatenate([np.diff(x.t) for x in all_traces[:64]])))
         self.device, self.threads, self.period = device, threads, period
         self.least_gain = WANDER.least_gain(period) if bounded else 0.0
-        self.lags, self.white = 1 if white else lags(period), white
+        slow = not white and all(trace.slow is not None for trace in all_traces)
+        self.white = white or slow
+        self.lags = 1 if self.white else lags(period)
         self.recordings = np.array([len(traces) for traces in joints], dtype=np.int32)
         self.first_signal = np.concatenate([[0], np.cumsum(self.recordings)[:-1]]).astype(np.int32)
         signals, position, self.load = padded(all_traces)
@@ -110,6 +114,7 @@ class Batch:
         self._position, self._counts = (to_warp(x, device) for x in (position, counts))
         self._length, self._weight = self._signals[2], to_warp(self.weight, device)
         self._contexts = [to_warp(x, device) for x in trace_contexts(all_traces)]
+        self.slow = SlowNoise(all_traces, device) if slow else None
 
     def count(self, joint: Integers) -> Array:
         """Number of samples whose innovations count, for each of these joints, shape (N,)."""
@@ -240,8 +245,11 @@ class Batch:
             inputs = [*layout, self._counts, angle]
             launch(whitening.lag_products, products.shape[:2], inputs, [products])
             noise_model = autoregression(products.numpy(), self.least_gain)
-        noise = [put(problem.astype(np.int32)), signals, self._length, self._counts]
-        launch(whitening.whiten, rows.size, [*noise, put(noise_model), angle])
+        if self.slow is not None:
+            self.slow.whiten(signals, angle)
+        else:
+            noise = [put(problem.astype(np.int32)), signals, self._length, self._counts]
+            launch(whitening.whiten, rows.size, [*noise, put(noise_model), angle])
         if keep:
             extras.append(self._fetch(angle, first, count, recordings))
         packed: Any = wp.zeros((N, R * size[0], (size[1] + 1) * V), dtype=wp.float64, device=dev)

@@ -10,7 +10,7 @@ import numpy as np
 
 from sim2real.arrays import Array, Mask
 from sim2real.errors import InputError
-from sim2real.inference.correlated_noise import counting, lags
+from sim2real.inference.correlated_noise import SlowErrors, counting, lags
 from sim2real.noise import noise_floor, quantization_step
 from sim2real.recording import PER_INERTIA, Load, Recording, VaryingLoad
 from sim2real.structured import Fields
@@ -53,6 +53,7 @@ class Trace:
     # standard deviation of the noise of each reading, relative to that of a joint at rest, (T,);
     # None where it is the same for all
     spread: Array | None = None
+    slow: SlowErrors | None = None  # slow errors beside the noise; None if there are none
 
     def window(self, length_s: float = 8.0) -> Trace:
         """The trace from the first change of the command on, for at most ``length_s`` seconds."""
@@ -84,6 +85,15 @@ class Trace:
         return values if self.spread is None else (values.T / self.spread).T
 
     @property
+    def error_ratio(self) -> Array:
+        """Standard deviations of readings with their slow errors, over the noise at rest, (T,)."""
+        if self.slow is None:
+            return self.noise_ratio
+        sizes = self.slow.angle_rad, self.slow.delay_s * self.speed()
+        variance = sum(np.square(size / self.slow.noise_rad) for size in sizes)
+        return np.asarray(np.sqrt(self.noise_ratio**2 + variance))
+
+    @property
     def period_s(self) -> float:
         """Median time between samples, s."""
         return float(np.median(np.diff(self.t)))
@@ -97,6 +107,12 @@ class Trace:
     def noise_floor_rad(self) -> float:
         """Standard deviation of the sensor's noise, see ``noise.noise_floor``."""
         return noise_floor(self.t, self.command, self.position)
+
+    def speed(self, *, samples: int = 5) -> Array:
+        """Mean speed of the measured angle around each sample, rad/s, shape (T,)."""
+        angle = np.interp(self.t, self.t[self.used], self.position[self.used])
+        padded = np.pad(np.gradient(angle, self.t), samples // 2, mode="edge")
+        return np.convolve(padded, np.full(samples, 1 / samples), mode="valid")
 
     def quantization_step(self) -> float:
         """Step on which the used angles lie, in rad; 0 if there is none."""
@@ -134,6 +150,7 @@ def trace(recording: Recording, joint: str) -> Trace:
         if load is None
         else reported_drive(t, command, position, load[powered], context["sample_delay_s"]),
         spread=None,
+        slow=None,
         **context,
     )
 

@@ -2,7 +2,7 @@
 
 A problem is one joint with one set of effects. Its rollouts are rows of ``angle``: for each of its
 recordings the servo itself and then V - 1 variants of it. Noise that is correlated in time is
-whitened by an autoregression with coefficients for each problem.
+whitened by an autoregression with coefficients for each problem, or by a Kalman filter.
 """
 
 from __future__ import annotations
@@ -130,6 +130,52 @@ def whiten(
             else:
                 x[j] = e[back]
         k -= 4
+
+
+@wp.kernel(enable_backward=False)
+def whiten_slow(
+    signal: Rows,
+    length: Rows,
+    position: Table,
+    weight: Table,
+    speed: Table,
+    process: Table,
+    angle: Table,
+    logarithm: Row,
+) -> None:
+    """Replace weighted samples by innovations under ``SlowErrors``, of variance 1.
+
+    By a Kalman filter of two states; ``logarithm`` sums up those of their variances before. Source:
+    Anderson, Moore, Optimal Filtering (Prentice-Hall 1979), section 5.3.
+    """
+    row = wp.tid()
+    s = signal[row]
+    first, second, keep, keep_delay = process[s, 0], process[s, 1], process[s, 2], process[s, 3]
+    one = wp.float64(1.0)
+    error, delay, cross, total = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
+    variance, variance_delay = wp.float64(first), wp.float64(second)
+    for k in range(length[s]):
+        e = wp.float64(0.0)
+        if not wp.isnan(position[s, k]):
+            w, v = weight[s, k], weight[s, k] * speed[s, k]
+            with_error, with_delay = w * variance + v * cross, w * cross + v * variance_delay
+            size = w * with_error + v * with_delay + one
+            left = angle[row, k] - w * error - v * delay
+            e = left / wp.sqrt(size)
+            error += with_error / size * left
+            delay += with_delay / size * left
+            variance -= with_error * with_error / size
+            cross -= with_error * with_delay / size
+            variance_delay -= with_delay * with_delay / size
+            total += wp.log(size)
+        angle[row, k] = e
+        error *= keep
+        delay *= keep_delay
+        variance = keep * keep * variance + (one - keep * keep) * first
+        cross *= keep * keep_delay
+        fresh = one - keep_delay * keep_delay
+        variance_delay = keep_delay * keep_delay * variance_delay + fresh * second
+    logarithm[row] = total
 
 
 @wp.kernel(enable_backward=False)

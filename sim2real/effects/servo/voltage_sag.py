@@ -2,7 +2,8 @@
 
 The commanded torque scales with the voltage, the damping by back-EMF does not:
 ``torque = kp error (1 - loss |torque| / full) - kd v``, where the full load is the torque commanded
-at an error of half a radian (the circuit of a DC motor behind a bridge; any text on motors).
+at an error of half a radian (the circuit of a DC motor behind a bridge; any text on motors). The
+loss is at most a half: controllers reset before, that of an XL330 below 3.7 of 5 V (its manual).
 
 Residual: a gain that decreases with load. Confused with: torque saturation, load friction; moving
 another joint on the same supply distinguishes them.
@@ -26,7 +27,7 @@ EFFECT = Effect(
     says="the supply voltage sags and costs {loss_at_full_load} of the motor torque at full load",
     site="motor",
     term=sag,
-    parameters=(Parameter("loss_at_full_load", low=0.0, high=0.9, typical=0.2),),
+    parameters=(Parameter("loss_at_full_load", low=0.0, high=0.5, typical=0.2),),
     component="supply",
     order=1,
     mimics=("torque_saturation",),
