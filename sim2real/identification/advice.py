@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import compress
 
 import numpy as np
 
@@ -161,16 +162,22 @@ def on_data_sheet(robot: Robot, joint: str, needed: Sequence[str]) -> list[str]:
     ]
 
 
+def by_prior(motor: Fit, spread: Uncertainty) -> tuple[str, ...]:
+    """Names of the parameters of a motor that its prior determines, and not the recordings."""
+    problem = motor.problem
+    prior_sd, nominal = (column(problem.parameters, name) for name in ("prior_sd", "nominal"))
+    near = np.abs(motor.x * problem.unit - nominal) <= 2 * prior_sd
+    kept = spread.sd * problem.unit >= _KEPT * prior_sd
+    return tuple(compress(motor.names, near & kept))
+
+
 def on_motor(motor: Fit, spread: Uncertainty, servo: Servo) -> list[str]:
     """Notes on motor parameters that are undetermined or contradict the data sheet."""
     problem, values = motor.problem, motor.values
-    prior_sd, nominal = (column(problem.parameters, name) for name in ("prior_sd", "nominal"))
-    sd = spread.sd * problem.unit
+    prior_sd, sd = column(problem.parameters, "prior_sd"), spread.sd * problem.unit
     names = [readable_name(name) for name in motor.names]
-    by_prior = (np.abs(motor.x * problem.unit - nominal) <= 2 * prior_sd) & (sd >= _KEPT * prior_sd)
-    undetermined = [name for name, of_prior in zip(names, by_prior, strict=True) if of_prior]
     notes = []
-    if undetermined:
+    if undetermined := [readable_name(name) for name in by_prior(motor, spread)]:
         notes.append(f"these recordings do not determine {', '.join(undetermined)}: the prior does")
     loop = undetected_loop(motor)
     if loop is not None:

@@ -229,11 +229,13 @@ def _identify_joint(
     best, motor = found.best, found.motor
     spread = uncertainty(best, level=options.interval)
     ends = {p.name: (p.low, np.inf) for p in gains(best.inertia)} | intervals(best, spread)
+    by_prior: tuple[str, ...] = ()
     if not options.effects:
         notes += advice.on_optima(best, spread)
     if motor is not None and servo is not None:
         motor_spread = spread if motor is best else uncertainty(motor, level=options.interval)
         notes += advice.on_motor(motor, motor_spread, servo)
+        by_prior = advice.by_prior(motor, motor_spread)
         ends = intervals(motor, motor_spread) | ends
         wait, latency = 0.5 * float(motor.row[COLUMNS.index(LOOP[0])]), float(best.row[2])
         if wait > 0:
@@ -254,7 +256,8 @@ def _identify_joint(
         "robust_outliers": float(np.mean(np.abs(best.error) > 4 * best.scale_rad)),
     } | figures
     notes += advice.on_fit(best, spread, ends, found.without_influence, figures, options.warned)
-    return _joint_model(found, ends, spread, load, tuple(notes)), figures, held_out_name
+    joint = _joint_model(found, ends, spread, load, tuple(notes))
+    return replace(joint, by_prior=by_prior), figures, held_out_name
 
 
 def _joint_model(
