@@ -90,7 +90,7 @@ def identify(
         place = f"{recorded[0]}.position_rad"
         found, expected = "no motion", "commands and angles that change"
         raise InputError(recordings[0].file, place, found, expected)
-    options = _Options(tuple(extra), effort, interval, refit, bool(warnings))
+    options = _Options(tuple(extra), effort, interval, refit, bool(warnings), set_points=not extra)
 
     def identify_joint(joint: str) -> tuple[JointModel, dict[str, float | None], str]:
         data, notes = traces(recordings, joint), []
@@ -159,6 +159,7 @@ class _Options:
     interval: float = LEVEL
     refit: bool = True
     warned: bool = False
+    set_points: bool = False
 
 
 @dataclass(frozen=True)
@@ -194,7 +195,9 @@ def _fits(
     if servo is not None and not without_influence:
         losses = not effects or data[0].varying is None
         fewer = None if before is None else before.motor
-        motor = choose_motor(data, plain, servo, rng, losses=losses, before=fewer)
+        motor = choose_motor(
+            data, plain, servo, rng, losses=losses, set_points=options.set_points, before=fewer
+        )
     base = best = motor if motor is not None and BASE[0] in motor.names else plain
     if effects:
         best = fit_effects(data, base, effects, rng) if before is None else again(before.best)

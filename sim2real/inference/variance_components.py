@@ -34,9 +34,19 @@ class VarianceComponents:
 
 
 def variance_components(
-    values: Array, sd: Array, groups: Sequence[object], *, level: float = LEVEL, points: int = 64
+    values: Array,
+    sd: Array,
+    groups: Sequence[object],
+    *,
+    level: float = LEVEL,
+    points: int = 48,
+    own: Sequence[tuple[float, float]] = ((0.2, 0.1), (0.5, 0.1), (1.0, 0.8)),
 ) -> VarianceComponents:
     """Posterior of the mean and of both standard deviations, on a grid of ``points`` for each.
+
+    Errors are independent, or in part those of all estimates, as of a law that leaves something
+    out: ``own`` has the probability of each share of the standard deviation that is each estimate's
+    own. The rest shows in no difference, and widens the intervals of the mean and of a new member.
 
     The mean has a flat prior and is integrated out; the standard deviations have the reference
     prior of Bodnar and others (Statistics in Medicine 36, 2017, eq. 9), for each level given that
@@ -50,6 +60,7 @@ def variance_components(
         groups: Label of the group of each of them, N of them.
         level: Probability of the intervals.
         points: Number of grid points of each standard deviation.
+        own: Shares of the errors' standard deviation and their probabilities, see above.
     """
     labels = list(dict.fromkeys(groups))
     alone, single = len(labels) == 1, len(set(groups)) == values.size
@@ -58,11 +69,13 @@ def variance_components(
     number = np.arange(values.size) if alone else np.array([labels.index(g) for g in groups])
     scale = max(float(np.ptp(values)), float(np.median(sd)), 1e-9 * float(np.abs(values).max()))
     grid = np.geomspace(1e-3, 1e3, points) * max(scale, 1e-12)
-    error = np.maximum(sd, 1e-2 * grid[0])
-    tau = np.repeat(grid, 1 if alone or single else points) ** 2
-    omega = np.zeros(points) if alone or single else np.tile(grid, points) ** 2
+    inner = np.zeros(1) if alone or single else grid
+    axes = np.meshgrid(grid**2, inner**2, [share for share, _ in own], indexing="ij")
+    tau, omega, part = (axis.ravel() for axis in axes)
+    error = np.maximum(np.outer(part, sd), 1e-2 * grid[0])
+    shared = (1 - part**2) * float(np.median(sd)) ** 2
     members = np.eye(len(labels))[number]  # (N, G)
-    variance = omega[:, None] + error**2  # (K, N), as all below: a row for each grid point
+    variance = omega[:, None] + error**2  # (K, N), as all below: a row for each point
     weight = (1 / variance) @ members
     middle = (values / variance) @ members / weight
     inside = (np.log(variance) + (values - middle[:, number]) ** 2 / variance).sum(axis=1)
@@ -76,14 +89,15 @@ def variance_components(
         freedom = 1 - 1 / members.sum(axis=0)[number]
         log_density += np.log(omega) + 0.5 * np.log((freedom / variance**2).sum(axis=1))
     log_density -= 0.5 * (inside + outside + np.log(precision))
+    log_density += np.tile(np.log([odds for _, odds in own]), tau.size // len(own))
     density = np.exp(log_density - log_density.max())
-    table = density.reshape(points, -1)
+    table = density.reshape(points, inner.size, -1).sum(axis=2)
     first = grid_quantiles(grid, table.sum(axis=1), level)
     return VarianceComponents(
-        _mixture_quantiles(density, mean, 1 / precision, level),
+        _mixture_quantiles(density, mean, 1 / precision + shared, level),
         None if alone else first,
         first if alone else None if single else grid_quantiles(grid, table.sum(axis=0), level),
-        _mixture_quantiles(density, mean, 1 / precision + tau + omega, level),
+        _mixture_quantiles(density, mean, 1 / precision + shared + tau + omega, level),
     )
 
 
