@@ -247,7 +247,7 @@ def _identify_joint(
     ringing = advice.on_ringing(best, best.problem.traces)
     if ringing:
         ends |= {name: (0.0, np.inf) for name in GAINS}
-    notes += ringing + advice.on_weight(data)
+    notes += ringing + advice.on_weight(found.plain)
     errors = [e for e in best.residuals if e.size]
     time = float(np.mean([correlation_samples(e) for e in errors]))
     figures = {

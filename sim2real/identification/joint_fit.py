@@ -146,8 +146,9 @@ def choose_motor(
     ``error_before_loop`` times the noise, to a sampled loop, which leaves at most
     ``error_with_loop`` times the noise and counts as ``loop_parameters``, the best of a thousand
     periods and phases. With ``set_points`` a limit of the speed of set-points inside the servo is
-    fitted as well if it has the larger evidence. A sampled loop of ``before``, the fit to fewer
-    recordings, is kept, and searches start from that fit where it has the same parameters.
+    fitted too, if they determine it and the evidence is larger. A sampled loop of ``before``, the
+    fit to fewer recordings, is kept, and searches start from that fit where it has the same
+    parameters.
 
     Without ``losses``, as where effects are fitted instead, the motor's line and rotor are fitted.
     A residual whose lag-1 autocorrelation is below ``white`` counts as white.
@@ -165,7 +166,8 @@ def choose_motor(
     if before is None or BASE[0] not in before.names:
         best = fit_limit(traces, plain, prior, names, rng)
         if set_points and rms([best.error]) > EXPLAINED * noise and traces[0].varying is None:
-            best = _likeliest([best, fit_set_point_limit(best, servo, prior, rng)])
+            limited = fit_set_point_limit(best, servo, prior, rng)
+            best = _likeliest([best, limited]) if limited.told(RATE_LIMIT) else best
     else:
         names = tuple(dict.fromkeys((*names, *before.names)))
         known = prior if before.law == "motor" else prior.flat(float(plain.row[1]))
