@@ -138,7 +138,7 @@ def population_figure(parameters: Sequence[TypeParameter]) -> Drawing:
             axes.errorbar(place, scale * one.values, reach, **look)
             name = readable_name(one.name.partition(".")[2])
             axes.set_title(printable(f"{name}, {unit}".rstrip(", ")))
-            axes.set_xticks(range(len(units)), [printable(name)[:10] for name in units])
+            axes.set_xticks(range(len(units)), [printable(name)[:14] for name in units])
             axes.set_xlim(-0.4, len(units) - 0.4)
         for axes in panels[len(parameters) :]:
             axes.set_visible(False)
