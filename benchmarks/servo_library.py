@@ -23,10 +23,13 @@ from benchmarks.real_servos import GAINS, TRAJECTORIES, read, residuals
 from sim2real.arrays import Array
 from sim2real.identification.identify import identify
 from sim2real.model import Model, write_model
+from sim2real.ranges.population import population
+from sim2real.readings import wrong_readings
 from sim2real.recording import Recording, read_recording
 from sim2real.report.servo_table import COLUMNS, cells
 from sim2real.robot import Robot, read_robot
-from sim2real.servo_library.catalogue import FOLDER, ServoEntry, at, prepared, shipped
+from sim2real.servo.trace import firmware_gain
+from sim2real.servo_library.catalogue import FOLDER, JOINT, ServoEntry, at, prepared, shipped
 
 PAGE = ROOT / "reports" / "servo_library.md"
 BENCH_V = 7.4
@@ -41,6 +44,9 @@ PUBLISHED = {
     "feetech_sts3215_7_4V": ("sts3215", "Feetech STS3215 (7.4 V)", 0.1),
 }
 """Name in the library, type, and length in m of the pendulum that the entry states."""
+KSCALE = {"sts3215": ("6b78737", "2025-03"), "sts3250": ("d66b22c", "2025-03")}
+"""Commit and month of the recordings of each servo."""
+LOADS = ("m741_l100", "m969_l150", "m1168_l100")
 TEXT = """# The library of servos
 
 Made by `python -m benchmarks.servo_library`. `sim2real servos` lists the entries.
@@ -69,6 +75,7 @@ def main() -> None:
     identified = [
         *spread(xl330, GAINS, chosen.processes, unit="gain"),
         *spread(sts3215, ["single"], chosen.processes, unit="stand"),
+        *spread(kscale, KSCALE, chosen.processes, unit="servo"),
     ]
     entries = identified + (published(chosen.bam) if chosen.bam else [])
     for entry in entries:
@@ -136,6 +143,55 @@ def sts3215(name: str) -> ServoEntry:
     model = identify([tested], robot)
     unknown = {"servo": {"supply_V": None, "firmware_gain": None}}
     return prepared(replace(model, provenance={**model.provenance, **unknown}), about)
+
+
+def kscale(servo: str) -> ServoEntry:
+    """A Feetech on K-Scale's pendulum: one motor at two gains under three loads.
+
+    Single wrong readings are left out. Scored on further runs of the same motions. The spread of
+    kp is that of one fit for each gain and load. Its recordings have no licence: they are not
+    shipped.
+    """
+    folder = real_recordings() / "kscale" / servo
+    robot = read_robot(folder / "robot.toml")
+
+    def runs(condition: str, repetition: int) -> list[Recording]:
+        names = (f"{condition}_{name}_r{repetition}.csv" for name in TRAJECTORIES)
+        recordings = [read_recording(folder / name) for name in names]
+        wrong = [wrong_readings(r.position[:, 0])[:, None] for r in recordings]
+        return [
+            replace(r, position=np.where(mask, np.nan, r.position))
+            for r, mask in zip(recordings, wrong, strict=True)
+        ]
+
+    conditions = [f"{load}_k{gain}" for gain in (8, 16) for load in LOADS]
+    model = on_all([one for condition in conditions for one in runs(condition, 1)], robot)
+    unseen = [one for condition in conditions for one in runs(condition, 2)]
+    common = model.firmware_p_gain or 1.0
+    errors = [residuals(model, one, (firmware_gain(one) or common) / common) for one in unseen]
+    each = [(servo, identify(runs(condition, 1), robot)) for condition in conditions]
+    _, parameters = population(each)
+    kp = next(one.components for one in parameters if one.name == f"{JOINT}.kp_Nm_per_rad")
+    assert kp.within is not None
+    low, middle, high = (100 * x for x in kp.within)
+    note = (
+        f"kp in proportion to the gain varies by {middle:.2g} % ({low:.2g} to {high:.2g} %) "
+        f"between {len(each)} fits at gains 8 and 16 under pendulums of 0.74 to 1.17 kg; one servo"
+    )
+    joint = model.joints[JOINT]
+    model = replace(model, joints={JOINT: replace(joint, notes=(*joint.notes, note))})
+    about = {
+        "name": f"{servo}_kscale",
+        "type": f"Feetech {servo.upper()}",
+        "source": f"recordings of K-Scale Labs (github.com/kscalelabs/sysid, commit "
+        f"{KSCALE[servo][0]}), which have no licence and are not shipped; identified here",
+        "licence": "MIT for these figures, none for the recordings",
+        "date": KSCALE[servo][1],
+        "supply_V": 12.0,
+        "firmware_gain": model.firmware_p_gain,
+        "scored_on": "24 further runs of the same motions, gains and loads",
+    }
+    return prepared(scored(model, rms(errors)), about)
 
 
 def on_all(recordings: Sequence[Recording], robot: Robot) -> Model:

@@ -59,6 +59,7 @@ class JointModel:
             data do not constrain it.
         correlation: Correlation of the estimates by pair, ``"a, b"``.
         effects: Effects in addition to the law.
+        by_prior: Names of fitted parameters that the prior determines, and not the recordings.
         notes: Remarks on these values, one sentence each.
     """
 
@@ -74,6 +75,7 @@ class JointModel:
     correlation: Mapping[str, float] = field(default_factory=dict)
     effects: tuple[FittedEffect, ...] = ()
     notes: tuple[str, ...] = ()
+    by_prior: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -157,7 +159,7 @@ def read_model(path: str | os.PathLike[str]) -> Model:
 
 def _joint_content(joint: JointModel) -> dict[str, Any]:
     content = {**vars(joint), "load": joint.load and vars(joint.load)}
-    for name in ("per_inertia", "motor", "load"):
+    for name in ("per_inertia", "motor", "load", "by_prior"):
         if not content[name]:
             del content[name]
     content["interval"] = {
@@ -189,6 +191,7 @@ def _read_joint(fields: Fields) -> JointModel:
         correlation={pair: correlation.number(pair) for pair in correlation.content},
         effects=_read_effects(fields),
         notes=fields.sentences("notes"),
+        by_prior=fields.sentences("by_prior"),
     )
 
 

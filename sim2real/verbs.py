@@ -10,7 +10,7 @@ fluid (``diagnose``, ``calibrate``, ``simulate``) are in ``sim.verbs``.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     File = str | os.PathLike[str]
     Recorded = Recording | File | Sequence[Recording | File]
+    Models = Sequence[Model | File] | Mapping[str, Sequence[Model | File]]
 
 
 def identify(
@@ -149,10 +150,11 @@ def posterior(
 
 
 def ranges(
-    recordings: Recorded,
-    robot: Robot | File,
-    model: Model | File,
+    recordings: Recorded = (),
+    robot: Robot | File | None = None,
+    model: Model | File | None = None,
     *,
+    population: Sequence[str] | Models = (),
     held_out: str | None = None,
     steps: int = 2000,
     walkers: int = 32,
@@ -162,10 +164,15 @@ def ranges(
 ) -> Gathered:
     """Generate randomization ranges, each from data.
 
+    They are of one robot, from its recordings and its model, or of a type of servo, from models of
+    several units.
+
     Args:
         recordings: Bench and pool recordings (NAME.csv with NAME.json).
         robot: The robot that was recorded (robot.toml).
         model: Its fitted servos, and its body where that was calibrated (MODEL.json).
+        population: Instead of these, models of units of one type of servo, UNIT=MODEL for each run
+            of a unit that has several; in Python models, also in lists by unit.
         held_out: Name of the recording to check a fit to the others on; by default the last.
         steps: Steps of each chain.
         walkers: Walkers of each chain.
@@ -175,8 +182,8 @@ def ranges(
         seed: Seed of the chains.
 
     Returns:
-        ``ranges``, which ``write_ranges`` writes, and the posteriors, latencies and densities that
-        they come from.
+        ``ranges``, which ``write_ranges`` writes, and the posteriors, latencies and densities, or
+        the spreads between units and between runs, that they come from.
 
     Raises:
         InputError: If recordings, robot and model do not agree, or a chain is too short to have
@@ -189,9 +196,22 @@ def ranges(
     from sim2real.arm.arm_loads import with_arm_loads
     from sim2real.output import provenance
     from sim2real.posterior.chain import chain_file
-    from sim2real.ranges.gather import Sampling, gather
+    from sim2real.ranges.gather import Gathered, Sampling, gather
+    from sim2real.ranges.population import population as of_population
 
     _check_sampling("ranges", steps, walkers, seed, interval)
+    if population:
+        if recordings or robot is not None or model is not None:
+            found = "--population with recordings, --robot or --model"
+            raise InputError("ranges", "", found, "either models of several units or one robot")
+        units, files = zip(*_by_unit(population), strict=True)
+        models = [*zip(units, map(model_of, files), strict=True)]
+        drawn, parameters = of_population(models, interval)
+        drawn = replace(drawn, provenance=provenance(files, seed))
+        return Gathered(drawn, population=parameters)
+    if robot is None or model is None:
+        missing = "--robot" if robot is None else "--model"
+        raise InputError(missing, "", "nothing", "a file, or --population with several models")
     loaded, description, fitted = recordings_to_fit(recordings), robot_of(robot), model_of(model)
     completed: dict[str, int] = {}
 
@@ -294,6 +314,18 @@ def model_of(model: Model | File) -> Model:
 
     _check_type("model", model, Model, "a model or its MODEL.json")
     return model if isinstance(model, Model) else read_model(model)
+
+
+def _by_unit(population: Sequence[str] | Models) -> list[tuple[str, Model | File]]:
+    """Every model or its file, with the name of its unit."""
+    if isinstance(population, Mapping):
+        return [(unit, model) for unit, models in population.items() for model in models]
+    named: list[tuple[str, Model | File]] = []
+    for number, given in enumerate(population):
+        unit, equals, file = str(given).partition("=") if isinstance(given, str) else ("", "", "")
+        name = Path(given).stem if isinstance(given, str | os.PathLike) else f"unit {number + 1}"
+        named.append((unit, file) if equals else (name, given))
+    return named
 
 
 def _check_type(argument: str, value: object, kind: type, expected: str) -> None:

@@ -160,6 +160,9 @@ def test_the_scale_of_a_pendulum_is_stated():
         joint.notes
     )
     assert not any("stated pendulum" in x for x in identify([GOOD], ROBOT).joints["j1"].notes)
+    level = replace(simulated.recording(1), loads={"j1": Load(simulated.INERTIA, 0.3, 0.1)})
+    notes = identify([level], ROBOT, law="pd").joints["j1"].notes
+    assert any("contradict the weight of the stated pendulum (0.3 kg at 0.1 m)" in x for x in notes)
 
 
 def test_import_prints_what_fits_will_refuse(tmp_path, capsys):

@@ -163,7 +163,8 @@ def _options(annotation: str, default: object) -> dict[str, Any]:
     if kind == "bool":
         return {"action": "store_true"}
     if kind in _FILES:
-        several = {"nargs": "+"} if kind == "Recorded" else {}
+        count = "+" if default is inspect.Parameter.empty else "*"
+        several = {"nargs": count} if kind == "Recorded" else {}
         return {"type": Path, "metavar": _FILES[kind], **several, **required}
     if kind == "Sequence[str]":
         return {"nargs": "+", "metavar": "NAME", **required}

@@ -153,7 +153,8 @@ def ranges(options: argparse.Namespace) -> int:
         page = beside(out, f"{out.stem}.html")
         sections = [ranges_section(gathered)]
         sections += [posterior_section(gathered, joint) for joint in gathered.posteriors]
-        title = f"Randomization ranges of {read_robot(options.robot).name}"
+        name = read_robot(options.robot).name if options.robot else "a type of servo"
+        title = f"Randomization ranges of {name}"
         subtitle = f"{len(gathered.ranges.entries)} parameters, each from data"
         write_page(page, title, subtitle, sections, gathered.ranges.provenance)
         print(f"\npage: {page}")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 
@@ -10,7 +12,7 @@ from sim2real.effects import named
 from sim2real.identification.control_loop import undetected_loop
 from sim2real.identification.joint_fit import refitted
 from sim2real.identification.problem import Fit
-from sim2real.identification.search import error_on
+from sim2real.identification.search import error_on, fit
 from sim2real.identification.uncertainty import Uncertainty, uncertainty
 from sim2real.inference.least_squares import rms
 from sim2real.inference.parameters import column
@@ -138,15 +140,29 @@ def on_ringing(best: Fit, traces: Sequence[Trace]) -> list[str]:
     ]
 
 
-def on_weight(traces: Sequence[Trace]) -> list[str]:
-    """A note where the stated weight of a pendulum sets the scale of gains and torques."""
+def on_weight(plain: Fit, *, contradicted: float = 0.5) -> list[str]:
+    """A note where the stated weight of a pendulum sets the scale, or the data contradict it.
+
+    They do where the linear servo without the weight leaves less than a share ``contradicted`` of
+    the error; its gains are searched from those with it and from smaller ones.
+    """
+    traces = plain.problem.traces
     load = max((trace.load for trace in traces), key=lambda load: load.gravity_Nm)
     if load.gravity_Nm == 0 or traces[0].varying is not None:
         return []
-    return [
-        f"kp, kd and every torque are in proportion to the stated pendulum "
-        f"({load.pendulum_mass_kg:g} kg at {load.pendulum_length_m:g} m)"
-    ]
+    pendulum = f"({load.pendulum_mass_kg:g} kg at {load.pendulum_length_m:g} m)"
+    starts = np.tile(plain.row, (4, 1))
+    starts[:, :2] *= np.geomspace(1.0, 0.01, 4)[:, None]
+    level = [replace(trace, load=Load(trace.load.inertia_kgm2)) for trace in traces]
+    free = fit(replace(plain.problem, traces=level), starts, rounds=2)
+    before, after = rms([plain.error]), rms([free.error])
+    if after < contradicted * before:
+        return [
+            f"the data contradict the weight of the stated pendulum {pendulum}: without it the "
+            f"error of the linear servo is {1e3 * after:.1f} instead of {1e3 * before:.1f} mrad; "
+            "check whether its shaft is horizontal and hangs down at 0"
+        ]
+    return [f"kp, kd and every torque are in proportion to the stated pendulum {pendulum}"]
 
 
 def on_data_sheet(robot: Robot, joint: str, needed: Sequence[str]) -> list[str]:
@@ -161,16 +177,22 @@ def on_data_sheet(robot: Robot, joint: str, needed: Sequence[str]) -> list[str]:
     ]
 
 
+def by_prior(motor: Fit, spread: Uncertainty) -> tuple[str, ...]:
+    """Names of the parameters of a motor that its prior determines, and not the recordings."""
+    problem = motor.problem
+    prior_sd, nominal = (column(problem.parameters, name) for name in ("prior_sd", "nominal"))
+    near = np.abs(motor.x * problem.unit - nominal) <= 2 * prior_sd
+    kept = spread.sd * problem.unit >= _KEPT * prior_sd
+    return tuple(compress(motor.names, near & kept))
+
+
 def on_motor(motor: Fit, spread: Uncertainty, servo: Servo) -> list[str]:
     """Notes on motor parameters that are undetermined or contradict the data sheet."""
     problem, values = motor.problem, motor.values
-    prior_sd, nominal = (column(problem.parameters, name) for name in ("prior_sd", "nominal"))
-    sd = spread.sd * problem.unit
+    prior_sd, sd = column(problem.parameters, "prior_sd"), spread.sd * problem.unit
     names = [readable_name(name) for name in motor.names]
-    by_prior = (np.abs(motor.x * problem.unit - nominal) <= 2 * prior_sd) & (sd >= _KEPT * prior_sd)
-    undetermined = [name for name, of_prior in zip(names, by_prior, strict=True) if of_prior]
     notes = []
-    if undetermined:
+    if undetermined := [readable_name(name) for name in by_prior(motor, spread)]:
         notes.append(f"these recordings do not determine {', '.join(undetermined)}: the prior does")
     loop = undetected_loop(motor)
     if loop is not None:

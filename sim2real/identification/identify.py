@@ -90,7 +90,7 @@ def identify(
         place = f"{recorded[0]}.position_rad"
         found, expected = "no motion", "commands and angles that change"
         raise InputError(recordings[0].file, place, found, expected)
-    options = _Options(tuple(extra), effort, interval, refit, bool(warnings))
+    options = _Options(tuple(extra), effort, interval, refit, bool(warnings), set_points=not extra)
 
     def identify_joint(joint: str) -> tuple[JointModel, dict[str, float | None], str]:
         data, notes = traces(recordings, joint), []
@@ -159,6 +159,7 @@ class _Options:
     interval: float = LEVEL
     refit: bool = True
     warned: bool = False
+    set_points: bool = False
 
 
 @dataclass(frozen=True)
@@ -194,7 +195,9 @@ def _fits(
     if servo is not None and not without_influence:
         losses = not effects or data[0].varying is None
         fewer = None if before is None else before.motor
-        motor = choose_motor(data, plain, servo, rng, losses=losses, before=fewer)
+        motor = choose_motor(
+            data, plain, servo, rng, losses=losses, set_points=options.set_points, before=fewer
+        )
     base = best = motor if motor is not None and BASE[0] in motor.names else plain
     if effects:
         best = fit_effects(data, base, effects, rng) if before is None else again(before.best)
@@ -229,11 +232,13 @@ def _identify_joint(
     best, motor = found.best, found.motor
     spread = uncertainty(best, level=options.interval)
     ends = {p.name: (p.low, np.inf) for p in gains(best.inertia)} | intervals(best, spread)
+    by_prior: tuple[str, ...] = ()
     if not options.effects:
         notes += advice.on_optima(best, spread)
     if motor is not None and servo is not None:
         motor_spread = spread if motor is best else uncertainty(motor, level=options.interval)
         notes += advice.on_motor(motor, motor_spread, servo)
+        by_prior = advice.by_prior(motor, motor_spread)
         ends = intervals(motor, motor_spread) | ends
         wait, latency = 0.5 * float(motor.row[COLUMNS.index(LOOP[0])]), float(best.row[2])
         if wait > 0:
@@ -242,7 +247,7 @@ def _identify_joint(
     ringing = advice.on_ringing(best, best.problem.traces)
     if ringing:
         ends |= {name: (0.0, np.inf) for name in GAINS}
-    notes += ringing + advice.on_weight(data)
+    notes += ringing + advice.on_weight(found.plain)
     errors = [e for e in best.residuals if e.size]
     time = float(np.mean([correlation_samples(e) for e in errors]))
     figures = {
@@ -254,7 +259,8 @@ def _identify_joint(
         "robust_outliers": float(np.mean(np.abs(best.error) > 4 * best.scale_rad)),
     } | figures
     notes += advice.on_fit(best, spread, ends, found.without_influence, figures, options.warned)
-    return _joint_model(found, ends, spread, load, tuple(notes)), figures, held_out_name
+    joint = _joint_model(found, ends, spread, load, tuple(notes))
+    return replace(joint, by_prior=by_prior), figures, held_out_name
 
 
 def _joint_model(

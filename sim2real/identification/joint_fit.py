@@ -38,6 +38,7 @@ from sim2real.servo.parameters import (
     LINE,
     LOOP,
     LOSSES,
+    RATE_LIMIT,
     ROTOR,
     SOFT,
     TRAINS,
@@ -130,6 +131,7 @@ def choose_motor(
     rng: np.random.Generator,
     *,
     losses: bool = True,
+    set_points: bool = False,
     before: Fit | None = None,
     white: float = 0.1,
     error_before_loop: float = 15.0,
@@ -143,8 +145,10 @@ def choose_motor(
     criterion). The same applies to gradual friction and, where the residual is at most
     ``error_before_loop`` times the noise, to a sampled loop, which leaves at most
     ``error_with_loop`` times the noise and counts as ``loop_parameters``, the best of a thousand
-    periods and phases. A sampled loop of ``before``, the fit to fewer recordings, is kept, and
-    searches start from that fit where it has the same parameters.
+    periods and phases. With ``set_points`` a limit of the speed of set-points inside the servo is
+    fitted too, if they determine it and the evidence is larger. A sampled loop of ``before``, the
+    fit to fewer recordings, is kept, and searches start from that fit where it has the same
+    parameters.
 
     Without ``losses``, as where effects are fitted instead, the motor's line and rotor are fitted.
     A residual whose lag-1 autocorrelation is below ``white`` counts as white.
@@ -161,6 +165,9 @@ def choose_motor(
         names = (*names, ROTOR)
     if before is None or BASE[0] not in before.names:
         best = fit_limit(traces, plain, prior, names, rng)
+        if set_points and rms([best.error]) > EXPLAINED * noise and traces[0].varying is None:
+            limited = fit_set_point_limit(best, servo, prior, rng)
+            best = _likeliest([best, limited]) if limited.told(RATE_LIMIT) else best
     else:
         names = tuple(dict.fromkeys((*names, *before.names)))
         known = prior if before.law == "motor" else prior.flat(float(plain.row[1]))
@@ -226,6 +233,24 @@ def fit_limit(
         if both.told(CURRENT_LIMIT):
             best = _likeliest([best, both])
     return best
+
+
+def fit_set_point_limit(
+    best: Fit,
+    servo: Servo,
+    prior: MotorPrior,
+    rng: np.random.Generator,
+    *,
+    shares: Sequence[float] = (1.0, 0.7),
+) -> Fit:
+    """Fit a motor whose set-points move at a limited speed, from ``shares`` of the data sheet's.
+
+    Without it a servo that limits them seems to be heavier and its motor slower.
+    """
+    known = prior if best.law == "motor" else prior.flat(float(best.row[1]))
+    starts = np.tile(best.row, (len(shares), 1))
+    starts[:, COLUMNS.index(RATE_LIMIT)] = servo.no_load_speed_rad_s * np.array(shares)
+    return fit_motor(best.problem.traces, best, known, (*best.names, RATE_LIMIT), rng, starts)
 
 
 def fit_motor(

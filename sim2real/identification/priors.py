@@ -20,6 +20,7 @@ from sim2real.servo.parameters import (
     INERTIA_LEFT_OUT,
     LINE,
     LOOP,
+    RATE_LIMIT,
     ROTOR,
     ROTOR_INERTIA,
     beyond_load,
@@ -200,6 +201,7 @@ def motor_prior(servo: Servo, traces: Sequence[Trace]) -> MotorPrior:
             share("motor.stick_time_s", 0.01, 0.1, 0.01),
             share("motor.creep_time_s", 0.002, 0.05, 0.002),
             log(CURRENT_LIMIT, 0.6 * stall, 0.4),
+            log(RATE_LIMIT, speed, 0.5),  # set about the largest speed of the motor
             # the error of a period accumulates over thousands of samples
             *(Parameter(name, 0.0, 0.05, 2e-7) for name in LOOP),
         ),

@@ -15,11 +15,12 @@ from sim2real.inference.least_squares import OUTLIER_SD, Expansion, robust_loss
 from sim2real.inference.parameters import Parameter, column
 from sim2real.model import FittedEffect, Law
 from sim2real.servo.motor import MOTOR_BIT
-from sim2real.servo.parameters import BASE, COLUMNS, CURRENT_LIMIT, LINE, LOOP
+from sim2real.servo.parameters import BASE, COLUMNS, CURRENT_LIMIT, LINE, LOOP, RATE_LIMIT
 from sim2real.servo.rollout import Simulator, active_effects, coarse_substep
 from sim2real.servo.trace import Trace
 
 _LATENCY, _PERIOD, _PHASE = (COLUMNS.index(name) for name in (BASE[2], *LOOP))
+_LIMITS = (CURRENT_LIMIT, RATE_LIMIT)
 _DIFFERENCE = 1e-3
 """Step of the forward differences, in units."""
 
@@ -91,7 +92,7 @@ class ServoProblem:
     def smooth(self) -> bool:
         """Whether longer sub-steps are stable: damping by an effect may not be with them."""
         servo = self._with_all
-        servo[0, COLUMNS.index(CURRENT_LIMIT)] = 0.0  # only limits the torque
+        servo[0, [COLUMNS.index(name) for name in _LIMITS]] = 0.0  # add no torque
         return not np.any(active_effects(servo) & ~MOTOR_BIT)
 
     @property
@@ -301,10 +302,10 @@ class Fit:
 
     @property
     def effects(self) -> tuple[FittedEffect, ...]:
-        """Effects that state a part of a motor's law: a current limit below its line."""
-        limit = float(self.row[COLUMNS.index(CURRENT_LIMIT)])
-        effect, _, parameter = CURRENT_LIMIT.rpartition(".")
-        return (FittedEffect(effect, {parameter: limit}),) if limit and self.law != "pd" else ()
+        """Effects that state limits of a motor: of its current below its line, of set-points."""
+        limits = {name.rpartition("."): float(self.row[COLUMNS.index(name)]) for name in _LIMITS}
+        found = (FittedEffect(name, {key: x}) for (name, _, key), x in limits.items() if x)
+        return tuple(found) if self.law != "pd" else ()
 
     def loss(self, scale_rad: float, inflation: float = 1.0) -> float:
         """The loss for residuals of another scale and correlation, to compare fits."""

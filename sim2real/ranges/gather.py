@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,6 +21,7 @@ from sim2real.posterior.predictive_check import PredictiveCheck, predictive_chec
 from sim2real.posterior.servo import STEPS, WALKERS, ServoPosterior, sample_servo
 from sim2real.ranges.entry import Range, Ranges, normal, uniform
 from sim2real.ranges.latency import Latencies, Spread, latencies, spread
+from sim2real.ranges.population import TypeParameter
 from sim2real.ranges.sources import (
     body_ranges,
     camera_noise,
@@ -54,17 +55,19 @@ class Gathered(NotebookDisplay):
         latencies: Latency fitted to each recording or window; None if no joint moves.
         spread: Distribution of the latencies; None if no joint moves.
         density: Normalised density of the links, if they state mass and length.
+        population: Parameters of a type of servo, if the ranges are of one.
     """
 
     ranges: Ranges
-    posteriors: Mapping[str, ServoPosterior]
-    checks: Mapping[str, PredictiveCheck]
-    latencies: Latencies | None
-    spread: Spread | None
-    density: Density | None
+    posteriors: Mapping[str, ServoPosterior] = field(default_factory=dict)
+    checks: Mapping[str, PredictiveCheck] = field(default_factory=dict)
+    latencies: Latencies | None = None
+    spread: Spread | None = None
+    density: Density | None = None
+    population: tuple[TypeParameter, ...] = ()
 
     def plot(self) -> Figure:
-        """Latencies and their range, or else the normalised densities.
+        """Parameters by unit, latencies and their range, or else the normalised densities.
 
         Raises:
             InputError: If there is neither.
@@ -72,6 +75,9 @@ class Gathered(NotebookDisplay):
         if self.latencies is not None and self.spread is not None:
             figure: Figure = from_report("ranges.latency_figure")(self.latencies, self.spread)
             return figure
+        if self.population:
+            drawn: Figure = from_report("ranges.population_figure")(self.population)
+            return drawn
         if self.density is None:
             raise InputError("ranges", "plot", "no latencies and no masses", "one of them")
         return self.density.plot()

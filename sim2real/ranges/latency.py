@@ -14,6 +14,7 @@ from sim2real.identification.problem import ServoProblem
 from sim2real.identification.search import fit
 from sim2real.inference.correlated_noise import correlation_samples
 from sim2real.inference.least_squares import OUTLIER_SD
+from sim2real.inference.variance_components import grid_quantiles
 from sim2real.model import JointModel, Model
 from sim2real.posterior.servo import loaded
 from sim2real.ranges.sources import labelled
@@ -94,14 +95,9 @@ def spread(seconds: Array, sd: Array, *, smallest_s: float = 1e-4) -> Spread:
         below = ndtr((centre[None] - half[:, None] - value) / error)
         log_density += np.log(np.maximum(above - below, 1e-300)) - np.log(2 * half[:, None])
     weight = np.exp(log_density - log_density.max())
-    low, median, high = _quantiles(half, weight.sum(axis=1), (0.05, 0.5, 0.95))
-    (best,) = _quantiles(centre, weight.sum(axis=0), (0.5,))
+    low, median, high = grid_quantiles(half, weight.sum(axis=1))
+    _, best, _ = grid_quantiles(centre, weight.sum(axis=0))
     return Spread(best, median, (low, high))
-
-
-def _quantiles(grid: Array, weight: Array, shares: Sequence[float]) -> list[float]:
-    total = np.cumsum(weight)
-    return [float(np.interp(share, (total - 0.5 * weight) / total[-1], grid)) for share in shares]
 
 
 @dataclass(frozen=True)

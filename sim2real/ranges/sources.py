@@ -19,7 +19,7 @@ from sim2real.robot import Density
 from sim2real.structured import finite_number
 from sim2real.units import unit_of
 
-_GAINS = ("kp_Nm_per_rad", "kd_Nms_per_rad")
+GAINS = ("kp_Nm_per_rad", "kd_Nms_per_rad")
 _STRIBECK_SPEED = "motor.stribeck_speed_rad_s"
 _FEWEST = 60
 """Smallest number of samples for an estimate of the noise."""
@@ -55,10 +55,7 @@ def from_model(
     joint: str, model: JointModel, level: float, existing: Sequence[str] = ()
 ) -> tuple[list[Range], list[str]]:
     """Ranges by the model's intervals of this level, or values, except ``existing``; and notes."""
-    values = {name: getattr(model, name) for name in _GAINS}
-    values |= {f"motor.{name}": value for name, value in model.motor.items()}
-    for effect in model.effects:
-        values |= {f"{effect.effect}.{name}": x for name, x in effect.parameters.items()}
+    values = parameters_of(model)
     out, its = [], f"the model: its {100 * level:g} % interval"
     for name, value in values.items():
         if f"{joint}.{name}" in existing or _is_absent(name, model):
@@ -77,6 +74,15 @@ def from_model(
     )
     note = f"{joint}: no range, as the {100 * level:g} % interval begins at 0: {absent}"
     return out, [note] if absent else []
+
+
+def parameters_of(model: JointModel) -> dict[str, float]:
+    """Gains of a joint and parameters of its motor and effects, as they are named in ranges."""
+    values = {name: getattr(model, name) for name in GAINS}
+    values |= {f"motor.{name}": value for name, value in model.motor.items()}
+    for effect in model.effects:
+        values |= {f"{effect.effect}.{name}": x for name, x in effect.parameters.items()}
+    return values
 
 
 def _is_absent(name: str, model: JointModel) -> bool:

@@ -21,7 +21,7 @@ from sim2real.report.diagnosis import effect_tables
 from sim2real.report.identification import model_blocks
 from sim2real.report.page import Note, Section, Table, render_fragment
 from sim2real.report.quantity import milliradians, printable
-from sim2real.report.ranges import density_section, posterior_table, range_blocks
+from sim2real.report.ranges import density_section, gathered_blocks, posterior_table, range_blocks
 from sim2real.report.recordings import check_section, recording_section
 from sim2real.report.servo_table import servos_section
 from sim2real.report.text import section_text
@@ -87,7 +87,7 @@ def _ranges(ranges: Ranges) -> Section:
 
 @result_section.register
 def _gathered(gathered: Gathered) -> Section:
-    return result_section(gathered.ranges)
+    return Section("Randomization ranges", "", gathered_blocks(gathered))
 
 
 @result_section.register

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from sim2real.posterior.servo import ServoPosterior
 from sim2real.ranges.entry import Ranges
 from sim2real.ranges.gather import Gathered
 from sim2real.ranges.latency import Latencies, Spread
+from sim2real.ranges.population import TypeParameter
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Figure, Note, Section, Table, Text
 from sim2real.report.quantity import Quantity, milliradians, printable, quantity_table
@@ -43,6 +45,14 @@ _SAMPLES = (
 _LATENCY = (
     "Latency of the commands in each {what}, over all joints, with two standard errors. The band "
     "is the range: the maximum-likelihood uniform distribution."
+)
+_POPULATION = (
+    "Mean over units, and standard deviations between units and between runs of a unit, with "
+    "{level:g} % intervals; the ranges above are intervals of a new unit."
+)
+_BY_UNIT = (
+    "Each parameter by unit, with the interval of each model. The line is the mean, the band the "
+    "range: a run of a new unit."
 )
 _DENSITY = (
     "Mass per length of each link over that of the whole robot{whiskers}. The area of a bar is "
@@ -84,9 +94,62 @@ def range_blocks(ranges: Ranges) -> list[Block]:
     return [Table(("parameter", "range", "drawn", "from"), rows, _TABLE), *notes]
 
 
+def gathered_blocks(gathered: Gathered) -> list[Block]:
+    """Every range with its source and, of a type of servo, mean and spreads of each parameter."""
+    blocks = range_blocks(gathered.ranges)
+    if gathered.population:
+        header = ("parameter", "unit", "mean", "between units", "between runs")
+        caption = _POPULATION.format(level=100 * gathered.ranges.interval_level)
+        rows = [_spreads(parameter) for parameter in gathered.population]
+        blocks.insert(1, Table(header, rows, caption))
+    return blocks
+
+
+def _spreads(one: TypeParameter) -> tuple[str, ...]:
+    """The row of one parameter: standard deviations in percent of the mean, or in its unit."""
+    found, cells = one.components, []
+    percent = 100.0 if one.log else 1.0
+    for ends, scale in ((found.mean, 1.0), (found.between, percent), (found.within, percent)):
+        low, middle, high = (scale * x for x in ends or (0.0, 0.0, 0.0))
+        value, low_text, high_text = Quantity("", "", middle, (low, high)).texts
+        sign = " %" if one.log and scale > 1 else ""
+        cells.append(f"{value}{sign} ({low_text} to {high_text})" if ends else "-")
+    joint, _, name = one.name.partition(".")
+    return (printable(f"{joint} {readable_name(name)}"), one.unit, *cells)
+
+
+def population_figure(parameters: Sequence[TypeParameter]) -> Drawing:
+    """Plot each parameter by unit, with the mean and the range of a new unit as a band."""
+    units = list(dict.fromkeys(unit for one in parameters for unit in one.units))
+    rows = -(-len(parameters) // 2)
+    with house_style():
+        figure = new_figure(60 + 150 * rows, "parameters by unit; band: the range of a new unit")
+        panels = figure.subplots(rows, 2, sharex=True, squeeze=False).ravel()
+        for axes, one in zip(panels, parameters, strict=False):
+            scale, unit = (1e3, "ms") if one.unit == "s" else (1.0, one.unit)
+            place = np.array([units.index(unit_name) for unit_name in one.units], dtype=float)
+            runs = [one.units[:k].count(unit_name) for k, unit_name in enumerate(one.units)]
+            place += 0.12 * np.array(runs)
+            low, _, high = one.components.new
+            axes.axhspan(scale * low, scale * high, color=ACCENT, alpha=0.16, linewidth=0)
+            axes.axhline(scale * one.components.mean[1], color=ACCENT, linewidth=1.0)
+            reach = scale * np.abs(one.ends - one.values[:, None]).T
+            look: Any = {"fmt": "o", "color": INK, "markersize": 4, "elinewidth": 1.0}
+            axes.errorbar(place, scale * one.values, reach, **look)
+            name = readable_name(one.name.partition(".")[2])
+            axes.set_title(printable(f"{name}, {unit}".rstrip(", ")))
+            axes.set_xticks(range(len(units)), [printable(name)[:14] for name in units])
+            axes.set_xlim(-0.4, len(units) - 0.4)
+        for axes in panels[len(parameters) :]:
+            axes.set_visible(False)
+    return figure
+
+
 def ranges_section(gathered: Gathered) -> Section:
     """Every range with its source, and the figures of latency and density."""
-    blocks = range_blocks(gathered.ranges)
+    blocks = gathered_blocks(gathered)
+    if gathered.population:
+        blocks.append(Figure(svg(population_figure(gathered.population)), _BY_UNIT))
     if gathered.ranges.posterior:
         blocks.append(Text(_SAMPLES.format(file=gathered.ranges.posterior)))
     if gathered.latencies is not None and gathered.spread is not None:

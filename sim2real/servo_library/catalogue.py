@@ -189,6 +189,8 @@ def prepared(
         raise InputError(file, "joints", joint or f"{len(names)} joints", expected)
     origin = model.provenance
     known: dict[str, Any] = {"origin": "identified", **origin.get("servo", {})}
+    if model.firmware_p_gain is not None:
+        known.setdefault("firmware_gain", model.firmware_p_gain)
     known |= {key: value for key, value in about.items() if value is not None}
     held_out, inputs = origin.get("held_out", {}), origin.get("inputs", {})
     if not known.get("scored_on") and isinstance(held_out, Mapping) and held_out.get(name):
@@ -265,6 +267,8 @@ def at(
     changed["scaled_from"] = {"supply_V": entry.supply_V, "firmware_gain": entry.firmware_gain}
     joints = {JOINT: _scaled(entry.joint, gain, volts)}
     model = replace(entry.model, joints=joints, fit={}, provenance={**origin, "servo": changed})
+    if model.firmware_p_gain is not None:
+        model = replace(model, firmware_p_gain=settings["firmware_gain"])
     return replace(entry, **settings, scored_on="", model=model)
 
 

@@ -31,19 +31,20 @@ def both(torque, speed):
     return np.clip(line(torque, speed), -0.55 * STALL, 0.55 * STALL)
 
 
-def recorded(limit, kd=KD, seed=0):
+def recorded(limit, kd=KD, seed=0, ramp=np.inf):
     """Two recordings of a servo, integrated by itself in steps of half a millisecond."""
     rng, recordings = np.random.default_rng(seed), []
     t = np.arange(0.0, 12.0, 0.01)
     for name in ("a", "b"):
         levels = np.append(0.0, rng.uniform(-0.9, 0.9, 60))
         command = levels[np.searchsorted(0.3 + np.cumsum(rng.uniform(0.3, 0.8, 60)), t)]
-        angle, speed, seen = 0.0, 0.0, np.zeros(t.size)
+        angle, speed, inside, seen = 0.0, 0.0, 0.0, np.zeros(t.size)
         for i in range(1, t.size):
             for part in range(20):
                 now = t[i - 1] + STEP * part - LATENCY
                 sent = command[max(int(np.floor(now / 0.01 + 1e-9)), 0)]
-                torque = limit(KP * (sent - angle) - kd * speed, speed)
+                inside += np.clip(sent - inside, -ramp * STEP, ramp * STEP)
+                torque = limit(KP * (inside - angle) - kd * speed, speed)
                 speed += STEP * torque / INERTIA
                 angle += STEP * speed
             seen[i] = angle
@@ -78,6 +79,13 @@ def test_a_line_stays_the_data_sheets():
     joint = identify(recorded(line, kd=STALL / SPEED), BENCH).joints["j1"]
     assert joint.law == "motor" and not joint.effects
     assert joint.motor["no_load_speed_rad_s"] == pytest.approx(SPEED, rel=0.03)
+
+
+def test_a_limit_of_the_set_point_s_speed_is_told_from_the_motor_s():
+    joint = identify(recorded(line, kd=STALL / SPEED, ramp=3.0), BENCH).joints["j1"]
+    (effect,) = joint.effects
+    assert effect.effect == "rate_limit" and joint.kp_Nm_per_rad == pytest.approx(KP, rel=0.05)
+    assert effect.parameters["limit_rad_s"] == pytest.approx(3.0, rel=0.02)
 
 
 def test_a_current_limit_below_the_line_is_found_with_it():

@@ -73,6 +73,8 @@ def test_every_entry_has_a_source_a_licence_and_a_sensible_motor(library):
     assert len(library) == len(list(FOLDER.glob("*.json"))) >= 10
     for gain in (200, 800):
         assert library[f"xl330_gain{gain}"].held_out_rad < library["xl330_bam_m5"].held_out_rad
+    doubled = at(library["sts3250_kscale"], firmware_gain=16).model
+    assert doubled.firmware_p_gain == 16 and library["sts3250_kscale"].model.firmware_p_gain == 8
     t = np.arange(0.0, 4.0, 0.01)
     step = {"hip": np.where(t < 0.5, 0.0, 0.2)}
     for entry in library:

@@ -1,0 +1,199 @@
+"""Ranges of a type of servo: what units of it, and runs of one unit, differ by."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.special import ndtri
+
+from sim2real.arrays import Array
+from sim2real.errors import InputError
+from sim2real.inference.normal import LEVEL
+from sim2real.inference.variance_components import (
+    Quantiles,
+    VarianceComponents,
+    variance_components,
+)
+from sim2real.model import JointModel, Model
+from sim2real.ranges.entry import Range, Ranges, uniform
+from sim2real.ranges.sources import GAINS, parameters_of
+from sim2real.units import unit_of
+
+_LATENCY = "latency_s"
+_FEW = 3
+"""Number of units below which the distribution of a new one has very heavy tails."""
+
+
+@dataclass(frozen=True)
+class TypeParameter:
+    """One parameter of a type of servo, in SI units.
+
+    Attributes:
+        name: Its name in ranges, ``J.kp_Nm_per_rad``.
+        unit: Its unit.
+        units: The servo that each model is of, N of them.
+        values: Its value in each model, shape (N,).
+        ends: Its interval in each model, shape (N, 2).
+        log: Whether its logarithm is normal.
+        components: Mean over units, the geometric one if ``log``; standard deviations between units
+            and between runs of a unit, as shares of the mean if ``log``; and the distribution of a
+            run of a new unit.
+    """
+
+    name: str
+    unit: str
+    units: tuple[str, ...]
+    values: Array
+    ends: Array
+    log: bool
+    components: VarianceComponents
+
+
+def population(
+    models: Sequence[tuple[str, Model]], level: float = LEVEL
+) -> tuple[Ranges, tuple[TypeParameter, ...]]:
+    """Ranges that draw a unit of a type of servo, and the distributions that they are from.
+
+    The logarithm of a parameter (the parameter itself where it may be 0) is normal over units and,
+    about its unit, over runs; each model has an error as its interval states it. A range is the
+    interval of a run of a new unit given all models, with heavy tails where units are few
+    (``inference.variance_components``). Parameters count as independent.
+
+    Args:
+        models: Name of the unit, and model, of each run: two at least. kp is brought to the
+            firmware gain of the first model that states one.
+        level: Probability of the intervals and of the ranges.
+
+    Raises:
+        InputError: If there are less than two models, they have no joint in common, or only some
+            state gains per unit of inertia.
+    """
+    joints = [name for name in models[0][1].joints if all(name in m.joints for _, m in models)]
+    if len(models) < 2 or not joints:
+        found = f"{len(models)} of them with {len(joints)} joints in common"
+        raise InputError("--population", "", found, "two models of the same joint, or more")
+    gain = next((m.firmware_p_gain for _, m in models if m.firmware_p_gain), None)
+    parameters: list[TypeParameter] = []
+    entries: list[Range] = []
+    for joint in joints:
+        servos = [model.joints[joint] for _, model in models]
+        if len({servo.per_inertia for servo in servos}) > 1:
+            found = "gains per unit of inertia in some models, not in others"
+            raise InputError("--population", f"joints.{joint}", found, "one of both in all models")
+        names = [name for servo in servos for name in (*_values(servo), *servo.interval)]
+        for name in dict.fromkeys(names):
+            unit = unit_of(name, per_inertia=servos[0].per_inertia)
+            rows = [_row(name, *one, joint, gain) for one in models if _states(name, *one, joint)]
+            known = [row for row in rows if row.determined]
+            if len(known) > 1:
+                parameters.append(_type_parameter(f"{joint}.{name}", unit, known, level))
+                entries.append(_range(parameters[-1], level))
+            else:
+                ends = [x for row in rows for x in (row.value, *row.ends) if np.isfinite(x)]
+                source = f"lowest to highest end in {len(rows)} models: less than two determine it"
+                entries.append(uniform(f"{joint}.{name}", min(ends), max(ends), unit, source))
+    notes = _notes(models, gain)
+    ranges = Ranges(_with_common_latency(entries), notes=notes, interval_level=level)
+    return ranges, tuple(parameters)
+
+
+@dataclass(frozen=True)
+class _Row:
+    """One parameter in one model: its unit, value, interval, standard deviation of its error."""
+
+    unit: str
+    value: float
+    ends: tuple[float, float]
+    halves: float  # standard deviations from the value to an end
+    by_prior: bool
+
+    @property
+    def determined(self) -> bool:
+        """Whether the recordings, and not only a prior, bound it."""
+        return bool(np.isfinite(self.ends).all()) and not self.by_prior
+
+    def sd(self, log: bool) -> float:
+        """Standard deviation of the error, of the logarithm if ``log``."""
+        low, value, high = self.ends[0], self.value, self.ends[1]
+        if log:
+            low, value, high = np.log([low, value, high])
+        return float(max(high - value, value - low) / self.halves)
+
+
+def _values(servo: JointModel) -> dict[str, float]:
+    return {**parameters_of(servo), _LATENCY: servo.latency_s}
+
+
+def _row(name: str, unit: str, model: Model, joint: str, gain: float | None) -> _Row:
+    """A parameter of a model that states it, kp at the firmware gain ``gain``."""
+    servo = model.joints[joint]
+    ratio = gain / model.firmware_p_gain if gain and model.firmware_p_gain else 1.0
+    ratio = ratio if name == GAINS[0] else 1.0
+    value = _values(servo).get(name, 0.0)  # a loss of 0 has an interval only
+    low, high = servo.interval.get(name, (value, value))
+    halves = float(ndtri(0.5 + model.interval_level / 2))
+    ends = (ratio * min(low, value), ratio * max(high, value))
+    return _Row(unit, ratio * value, ends, halves, name in servo.by_prior)
+
+
+def _states(name: str, _: str, model: Model, joint: str) -> bool:
+    servo = model.joints[joint]
+    return name in servo.interval or name in _values(servo)
+
+
+def _type_parameter(name: str, unit: str, rows: Sequence[_Row], level: float) -> TypeParameter:
+    """The distribution of one parameter over units."""
+    values, ends = np.array([row.value for row in rows]), np.array([row.ends for row in rows])
+    log = bool((ends > 0).all())
+    sd = np.array([row.sd(log) for row in rows])
+    units = tuple(row.unit for row in rows)
+    found = variance_components(np.log(values) if log else values, sd, units, level=level)
+    if log:
+        found = replace(found, mean=_each(math.exp, found.mean), new=_each(math.exp, found.new))
+    elif (ends >= 0).all():
+        least = partial(max, 0.0)
+        found = replace(found, mean=_each(least, found.mean), new=_each(least, found.new))
+    return TypeParameter(name, unit, units, values, ends, log, found)
+
+
+def _each(function: Callable[[float], float], ends: Quantiles) -> Quantiles:
+    low, middle, high = map(function, ends)
+    return low, middle, high
+
+
+def _range(one: TypeParameter, level: float) -> Range:
+    low, _, high = one.components.new
+    units, models = len(set(one.units)), len(one.units)
+    source = f"{models} models of {units} units: {100 * level:g} % interval of a new unit"
+    if units == 1:
+        source = f"{models} models of unit {one.units[0]}: {100 * level:g} % interval of a new run"
+    return uniform(one.name, low, high, one.unit, source)
+
+
+def _with_common_latency(entries: Sequence[Range]) -> tuple[Range, ...]:
+    """The latency first, which ranges state for all joints together."""
+    delays = [entry for entry in entries if entry.parameter.endswith(f".{_LATENCY}")]
+    others = [entry for entry in entries if entry not in delays]
+    low, high = min(e.first for e in delays), max(e.second for e in delays)
+    source = delays[0].source + (" of each joint, lowest to highest" if len(delays) > 1 else "")
+    return (uniform("command_latency_s", low, high, "s", source), *others)
+
+
+def _notes(models: Sequence[tuple[str, Model]], gain: float | None) -> tuple[str, ...]:
+    units = list(dict.fromkeys(unit for unit, _ in models))
+    notes = []
+    if len(units) == 1:
+        notes.append(f"all models are of {units[0]}: what other units differ by is not known")
+    elif len(units) == len(models):
+        notes.append("each unit has one model: the spread between units includes that between runs")
+    if 1 < len(units) < _FEW:
+        notes.append(f"{len(units)} units hardly tell their spread: ranges are wide; add a unit")
+    gains = {model.firmware_p_gain for _, model in models}
+    if gain is not None and len(gains) > 1:
+        unknown = "; models that state none are taken to be at it" if None in gains else ""
+        notes.append(f"kp is that of the firmware gain {gain:g} and in proportion to it{unknown}")
+    return tuple(notes)
