@@ -24,8 +24,6 @@ from sim2real.ranges.sources import GAINS, parameters_of
 from sim2real.units import unit_of
 
 _LATENCY = "latency_s"
-_FEW = 3
-"""Number of units below which the distribution of a new one has very heavy tails."""
 
 
 @dataclass(frozen=True)
@@ -190,7 +188,7 @@ def _notes(models: Sequence[tuple[str, Model]], gain: float | None) -> tuple[str
         notes.append(f"all models are of {units[0]}: what other units differ by is not known")
     elif len(units) == len(models):
         notes.append("each unit has one model: the spread between units includes that between runs")
-    if 1 < len(units) < _FEW:
+    if len(units) == 2:  # a new one has a distribution with very heavy tails
         notes.append(f"{len(units)} units hardly tell their spread: ranges are wide; add a unit")
     gains = {model.firmware_p_gain for _, model in models}
     if gain is not None and len(gains) > 1:
