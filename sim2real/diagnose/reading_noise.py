@@ -108,16 +108,21 @@ def rest_noise(traces: Sequence[Trace]) -> float:
 
 
 def jitter_s(
-    traces: Sequence[Trace], *, least_ratio: float = 4.0, least_share: float = 0.05
-) -> tuple[float, float] | None:
+    traces: Sequence[Trace], *,
+    least_ratio: float = 4.0, least_share: float = 0.05, settled: float = 0.85,
+) -> tuple[float, float] | None:  # fmt: skip
     """Standard deviation of the times of reading in s, and of the noise at rest in rad.
 
     From divided differences of neighbouring readings, so that no model of the servo is needed;
     motion can only increase them, so that the order with the smallest ones counts. None where the
     noise of the fastest readings is less than ``least_ratio`` times that of the slowest, or times
-    vary by less than ``least_share`` of a period, as those of a sensor that is read in time.
+    vary by less than ``least_share`` of a period, as those of a sensor that is read in time; nor
+    where the last order lowers them below the share ``settled``, as it does where parts collide.
     """
     found = [_of_order(traces, order, least_ratio) for order in _ORDERS]
+    last, highest = found[-2:]
+    if last and highest and highest[0] < settled * last[0]:
+        return None
     smallest = min(found, key=lambda one: -1.0 if one is None else one[0])
     period = float(np.median([t.period_s for t in traces]))
     return smallest if smallest is not None and smallest[0] > least_share * period else None
