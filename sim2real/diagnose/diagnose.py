@@ -314,7 +314,7 @@ def _identified(
         or offered.error < ABOVE_NOISE * joint.noise
     ):
         return None
-    model = fitted_joint(joint.traces, joint.servo, seed)
+    model = fitted_joint(joint.traces, joint.servo, seed, set_points=True)
     row = joint_row(model, joint.traces[0].load)
     present = np.flatnonzero(row[:FIRST_EFFECT_COLUMN] != 0)
     columns = np.array([c for c in present if COLUMNS[c] not in _GIVEN], dtype=np.int32)
