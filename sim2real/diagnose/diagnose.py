@@ -304,22 +304,22 @@ def _identified(
 ) -> tuple[JointModel, Unseen] | None:
     """The servo as ``identify`` fits it, and its errors on held-out data, where these are smaller.
 
-    None where what is offered leaves little more than noise.
+    None where what is offered leaves little more than noise. Errors of the angle itself are
+    compared where lasting ones are a part of the noise.
     """
-    offered = found.unseen.get(found.offered.members)
-    if (
-        joint.references
-        or joint.base
-        or offered is None
-        or offered.error < ABOVE_NOISE * joint.noise
-    ):
+    offered, lasting = found.unseen.get(found.offered.members), joint.traces[0].slow is not None
+    if joint.references or joint.base or offered is None:
         return None
-    model = fitted_joint(joint.traces, joint.servo, seed, set_points=True)
+    if not lasting and offered.error < ABOVE_NOISE * joint.noise:
+        return None
+    model = fitted_joint(joint.traces, joint.servo, seed)
     row = joint_row(model, joint.traces[0].load)
     present = np.flatnonzero(row[:FIRST_EFFECT_COLUMN] != 0)
     columns = np.array([c for c in present if COLUMNS[c] not in _GIVEN], dtype=np.int32)
     value, none = np.abs(row[columns])[None], np.zeros(1, dtype=np.int32)
     start = Servos(none, row[None], columns[None], value, value / 4, 4 * value)
     (unseen,) = held_out([joint.traces], [start], device=device)
-    smaller = unseen is not None and unseen.error < (1 - DECISION.min_improvement) * offered.error
-    return (model, unseen) if smaller and unseen is not None else None
+    if unseen is None:
+        return None
+    ratio = unseen.rmse / offered.rmse if lasting else unseen.error / offered.error
+    return (model, unseen) if ratio < 1 - DECISION.min_improvement else None

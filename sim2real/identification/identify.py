@@ -118,7 +118,7 @@ def identify(
 def fitted_joint(data: list[Trace], servo: Servo | None, seed: int = 0) -> JointModel:
     """The model of one joint from all its recordings, without intervals and notes."""
     sheet = servo if servo is not None and servo.states(*MOTOR_SHEET) else None
-    found = _fits(data, sheet, _Options(), seed)
+    found = _fits(data, sheet, _Options(set_points=True), seed)
     return _joint_model(found, {}, None, data[0].load, ())
 
 
