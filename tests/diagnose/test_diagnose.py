@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from simulated import FRICTION, INERTIA, KD, KP, LATENCY, NOISE, recording, robot, two
+from strange import position_damping, strange
 
 from sim2real.diagnose.calibrated_odds import judged
 from sim2real.diagnose.decision import DECISION
@@ -149,8 +150,9 @@ def test_an_effect_that_may_be_zero_is_not_named(explained_joint):
     assert judged(replace(joint.finding, best=vague), joint.unseen).groups == ()
 
 
-def test_what_is_in_no_catalogue_is_unexplained(puzzling):
-    _, found = puzzling
+def test_what_is_in_no_catalogue_is_unexplained():
+    given = [strange(k, name, position_damping, seconds=8.0) for k, name in ((1, "a"), (2, "b"))]
+    (found,) = diagnose_all([Case(given, robot("j1"))])
     assert found.verdict == "unexplained"
     assert not found.effects, "nothing that matters has a name"
 
