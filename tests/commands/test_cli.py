@@ -28,6 +28,7 @@ from sim2real.recording import read_recording
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT / "datasets" / "servo_steps"
+MODEL = ROOT / "reports" / "servo_steps" / "model.json"
 COMMANDS = list(cli.COMMANDS)
 
 
@@ -143,10 +144,8 @@ def test_a_fit_of_a_prediction_says_so(bench, capsys):
     context = {"gain_ratio": 0.8}
     sidecar |= {"context": context, "started": "2025-01-01T00:00:00+00:00"}
     (bench / "steps.json").write_text(json.dumps(sidecar))
-    assert identify(bench, "--no-plots") == 0
-    commands = str(bench / "steps.csv")
     out = bench / "predicted.csv"
-    assert main(["predict", str(bench / "model.json"), commands, "--out", str(out)]) == 0
+    assert main(["predict", str(MODEL), str(bench / "steps.csv"), "--out", str(out)]) == 0
     written = read_recording(out)
     assert written.metadata == {"context": context, "simulated": True}
     assert capsys.readouterr().err == ""
@@ -182,13 +181,10 @@ def test_an_output_that_cannot_be_written_is_refused_before_any_work(bench, caps
 
 
 def test_predict_refuses_what_it_cannot_run(bench, capsys):
-    assert identify(bench, "--no-plots") == 0
-    capsys.readouterr()
-    model, commands = bench / "model.json", bench / "steps.csv"
-    run = ["predict", str(model), str(commands), "--out"]
-    content = json.loads(model.read_text())
+    content = json.loads(MODEL.read_text())
     del content["joints"]["j1"]
-    model.write_text(json.dumps(content))
+    (bench / "model.json").write_text(json.dumps(content))
+    run = ["predict", str(bench / "model.json"), str(bench / "steps.csv"), "--out"]
     refused(capsys, main([*run, str(bench / "p.csv")]), "joint j1")
     assert not (bench / "p.csv").exists()
 
