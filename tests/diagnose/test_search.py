@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from searching import searched
-from simulated import INERTIA, KD, KP, LATENCY, NOISE, PERIOD, column, recording, traced
+from simulated import INERTIA, KD, KP, LATENCY, NOISE, PERIOD, column, traced
 from strange import position_damping, strange
 
 from sim2real.diagnose import servo_search
@@ -89,7 +89,7 @@ def test_the_plain_servo_does_not_ring_faster_than_samples_can_tell():
 
 def test_a_search_out_of_budget_tries_no_combinations_and_says_so(monkeypatch):
     two = {"coulomb_friction": {"torque_Nm": 0.05}, "command_filter": {"time_constant_s": 0.06}}
-    given = [traced(1, "a", **two), traced(2, "b", **two)]
+    given = [traced(1, "a", seconds=6.0, **two), traced(2, "b", seconds=6.0, **two)]
 
     def tried(most):
         monkeypatch.setattr(servo_search, "DECISION", replace(DECISION, search_substeps=most))
@@ -105,7 +105,7 @@ def test_a_search_out_of_budget_tries_no_combinations_and_says_so(monkeypatch):
 
 def test_a_joint_that_is_looked_at_again_keeps_its_place():
     """The second look is at some joints only, which are numbered anew there."""
-    clean = [trace(recording(k, f"c{k}", seconds=8.0), "j1") for k in (1, 2)]
+    clean = [traced(k, f"c{k}", seconds=8.0) for k in (1, 2)]
     odd = [trace(strange(k, f"s{k}", position_damping, seconds=8.0), "j1") for k in (3, 4)]
     batch = Batch([clean, odd])
     rng = np.random.default_rng(0)
