@@ -1,4 +1,4 @@
-"""A joint's results: coarse sensors, intervals of a gap, filters that may exchange parameters."""
+"""A joint's results: coarse sensors, gaps and gear trains, filters that may exchange parameters."""
 
 from dataclasses import replace
 from types import SimpleNamespace

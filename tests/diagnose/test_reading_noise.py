@@ -1,4 +1,4 @@
-"""Readings that are left out, and noise that grows with speed."""
+"""Readings that are left out, noise that grows with speed, and clocks that run apart."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""A recording from beginning to end, on virtual servos."""
+"""A recording from beginning to end on virtual servos, and from a port to gains and a page."""
 
 import json
 import subprocess

@@ -1,4 +1,4 @@
-"""A policy that drives servos on a bus of this computer, with poses from a tracker."""
+"""A policy that drives servos on a bus of this computer, and the radio that carries a bus."""
 
 import math
 import socket

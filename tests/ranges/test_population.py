@@ -1,4 +1,4 @@
-"""Ranges of a type of servo, from models of several units and of several runs of each."""
+"""Ranges of a type of servo from models of several units, and the latencies of recordings."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The gear train against two masses that are advanced one by one in small steps."""
+"""The gear train against two masses advanced in small steps; the context that a servo runs in."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The servo's dynamics: accuracy, latency, batches, limits that are known in closed form."""
+"""The servo's dynamics: accuracy, latency, batches, closed forms, and the same law in CasADi."""
 
 import casadi as ca
 import numpy as np
