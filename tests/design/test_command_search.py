@@ -1,4 +1,4 @@
-"""The search finds commands that tell more than the usual ones, within the limits."""
+"""Commands that tell more than the usual ones, within the limits of a joint."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Distances of rival sets, and the entropy that a recording leaves, against brute force."""
+"""Rival sets: distances and entropy against brute force, and recordings that tell them apart."""
 
 import json
 from dataclasses import replace

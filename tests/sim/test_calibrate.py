@@ -1,4 +1,4 @@
-"""Calibration on swims of the twin itself: what was put in comes out, on what was held out too."""
+"""Calibration on swims of the twin, in the twin and by an emulator: what was put in comes out."""
 
 import json
 from dataclasses import replace
