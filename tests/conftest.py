@@ -24,7 +24,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """
     folder = tmp_path_factory.mktemp("short")
     (folder / "reports").symlink_to(ROOT / "reports")
-    for name, samples in (("servo_steps", 350), ("pool", 500)):
+    for name, samples in (("servo_steps", 250), ("pool", 500)):
         (folder / "datasets" / name).mkdir(parents=True)
         for path in (ROOT / "datasets" / name).iterdir():
             here = folder / "datasets" / name / path.name

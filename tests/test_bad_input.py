@@ -35,7 +35,7 @@ def test_the_good_files_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("rows", "parts"),
+    ("given", "parts"),
     [
         (with_row(4, "0.04,57,0.1"), ("row 4, j1.command_rad", "found 57", "radians", "degrees")),
         (with_row(4, "0.02,0.1,0.1"), ("row 4, t_s", "found 0.02 after 0.02", "that increase")),
@@ -51,25 +51,17 @@ def test_the_good_files_are_read(tmp_path: Path) -> None:
         (with_row(4, '0.04,"0.1,0.1'), ("bench.csv",)),
         (ROWS[:1], ("bench.csv", "found 1 row", "at least two rows")),
         ((), ("bench.csv", "found 0 rows", "at least two rows")),
+        ("t_s,j1.command_rad,j1.position", ("header", "no column j1.position_rad")),
+        ("t_s,j1.command_rad,j1.positon_rad", ("header", "did you mean j1.positon_rad?")),
+        ("time,j1.command_rad,j1.position_rad", ("header", "no column t_s", "did you mean time?")),
+        ("t_s,j1.command_rad,j1.command_rad", ("header", "j1.command_rad twice", "each column")),
     ],
 )
-def test_rows(tmp_path: Path, rows: tuple[str, ...], parts: tuple[str, ...]) -> None:
-    path = csv_file(tmp_path, rows)
+def test_rows_or_header(
+    tmp_path: Path, given: tuple[str, ...] | str, parts: tuple[str, ...]
+) -> None:
+    path = csv_file(tmp_path, **{"header" if isinstance(given, str) else "rows": given})
     message(lambda: read_recording(path), str(path), *parts)
-
-
-@pytest.mark.parametrize(
-    ("header", "parts"),
-    [
-        ("t_s,j1.command_rad,j1.position", ("no column j1.position_rad",)),
-        ("t_s,j1.command_rad,j1.positon_rad", ("did you mean j1.positon_rad?",)),
-        ("time,j1.command_rad,j1.position_rad", ("no column t_s among", "did you mean time?")),
-        ("t_s,j1.command_rad,j1.command_rad", ("j1.command_rad twice", "each column")),
-    ],
-)
-def test_header(tmp_path: Path, header: str, parts: tuple[str, ...]) -> None:
-    path = csv_file(tmp_path, header=header)
-    message(lambda: read_recording(path), str(path), "header", *parts)
 
 
 def test_cells_of_further_columns_and_bytes(tmp_path: Path) -> None:
@@ -192,6 +184,10 @@ def test_robot_fields(tmp_path: Path, old: str, new: str, parts: tuple[str, ...]
     message(lambda: read_robot(path), str(path), *parts)
 
 
+def of_joint(**change: object) -> dict[str, Any]:
+    return {"joints": {"j1": MODEL["joints"]["j1"] | change}}
+
+
 def test_robot_counts(tmp_path: Path) -> None:
     path = tmp_path / "robot.toml"
     joint = '[[joints]]\nname = "j1"\nservo = "lx824"\nlimits_rad = [-1, 1]\n'
@@ -209,34 +205,23 @@ def test_robot_counts(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "parts"),
     [
-        ({"kp_Nm_per_rad": -1}, ("joints.j1.kp_Nm_per_rad", "-1", "at least 0")),
-        ({"latency_s": None}, ("joints.j1.latency_s", "None", "a number")),
-        ({"inertia_kgm2": 0}, ("joints.j1.inertia_kgm2", "0", "above 0")),
-        ({"interval": {"kp": [1, 2, 3]}}, ("joints.j1.interval.kp", "two numbers")),
-        ({"effects": "backlash"}, ("joints.j1.effects", "'backlash'")),
-        ({"effects": [{"effect": 3}]}, ("joints.j1.effects[0].effect", "3", "text")),
+        (of_joint(kp_Nm_per_rad=-1), ("joints.j1.kp_Nm_per_rad", "-1", "at least 0")),
+        (of_joint(latency_s=None), ("joints.j1.latency_s", "None", "a number")),
+        (of_joint(inertia_kgm2=0), ("joints.j1.inertia_kgm2", "0", "above 0")),
+        (of_joint(interval={"kp": [1, 2, 3]}), ("joints.j1.interval.kp", "two numbers")),
+        (of_joint(effects="backlash"), ("joints.j1.effects", "'backlash'")),
+        (of_joint(effects=[{"effect": 3}]), ("joints.j1.effects[0].effect", "3", "text")),
         (
-            {"effects": [{"effect": "backlash", "parameters": {"gap_rad": "wide"}}]},
+            of_joint(effects=[{"effect": "backlash", "parameters": {"gap_rad": "wide"}}]),
             ("joints.j1.effects[0].parameters.gap_rad", "'wide'", "a number"),
         ),
         (
-            {"law": "motor", "motor": {"loop_period_s": 1e-9}},
+            of_joint(law="motor", motor={"loop_period_s": 1e-9}),
             ("joints.j1.motor.loop_period_s", "1e-09", "0 or at least 2e-05 s"),
         ),
-        ({"notes": 5}, ("joints.j1.notes", "5", "a list")),
-        ({"correlation": {"kp, kd": "high"}}, ("joints.j1.correlation.kp, kd", "'high'")),
-        ({"per_inertia": "yes"}, ("joints.j1.per_inertia", "'yes'", "true or false")),
-    ],
-)
-def test_model_joint(tmp_path: Path, change: dict[str, Any], parts: tuple[str, ...]) -> None:
-    path = tmp_path / "model.json"
-    path.write_text(json.dumps(MODEL | {"joints": {"j1": MODEL["joints"]["j1"] | change}}))
-    message(lambda: read_model(path), str(path), *parts)
-
-
-@pytest.mark.parametrize(
-    ("change", "parts"),
-    [
+        (of_joint(notes=5), ("joints.j1.notes", "5", "a list")),
+        (of_joint(correlation={"kp, kd": "high"}), ("joints.j1.correlation.kp, kd", "'high'")),
+        (of_joint(per_inertia="yes"), ("joints.j1.per_inertia", "'yes'", "true or false")),
         ({"schema": "sim2real.recording/1"}, ("schema", "recording/1'", "model/1'")),
         ({"fit": {"j1.position_rad": 3}}, ("fit.j1.position_rad", "3", "a table")),
         ({"fit": {"j1.position_rad": {"train": "low"}}}, ("fit.j1.position_rad.train", "'low'")),

@@ -1,15 +1,23 @@
-"""Every example runs, as a program and as a notebook, and writes what it says that it writes."""
+"""The examples run, as programs and as notebooks; what the verbs find prints and draws."""
 
+import math
 import os
 import re
+import subprocess
 import sys
+from dataclasses import is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import simulated
 
+import sim2real as s2r
+from sim2real import example
 from sim2real.cli import main
-from sim2real.example import BENCH, POOL, copy_example
+from sim2real.diagnose.result import Diagnosis, Mismatch
+from sim2real.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {
@@ -72,7 +80,7 @@ def test_it_runs_as_a_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_the_example_recordings_are_those_of_the_datasets() -> None:
-    for folder, dataset in ((BENCH, "servo_steps"), (POOL, "pool")):
+    for folder, dataset in ((example.BENCH, "servo_steps"), (example.POOL, "pool")):
         for path in folder.iterdir():
             assert path.read_bytes() == (ROOT / "datasets" / dataset / path.name).read_bytes(), path
 
@@ -81,11 +89,130 @@ def test_the_example_is_copied_and_nothing_is_overwritten(tmp_path, capsys) -> N
     out = tmp_path / "new" / "example"
     assert main(["example", "--out", str(out)]) == 0
     assert "sim2real identify" in capsys.readouterr().out
-    assert {path.name for path in (out / "bench").iterdir()} == {p.name for p in BENCH.iterdir()}
-    copy_example(out)
+    assert {path.name for path in (out / "bench").iterdir()} == {
+        path.name for path in example.BENCH.iterdir()
+    }
+    example.copy_example(out)
     (out / "bench" / "robot.toml").write_text("mine")
     (out / "pool" / "p1.csv").unlink()
     assert main(["example", "--out", str(out)]) == 2
     assert "robot.toml: found a file with other content" in capsys.readouterr().err
     assert (out / "bench" / "robot.toml").read_text() == "mine"
     assert not (out / "pool" / "p1.csv").exists()
+
+
+BENCH, POOL = ROOT / "datasets" / "servo_steps", ROOT / "datasets" / "pool"
+VERBS = (
+    "identify", "diagnose", "calibrate", "density", "posterior", "ranges", "predict", "design",
+    "simulate", "forecast",
+)  # fmt: skip
+
+
+def prints_and_draws(result: object, *words: str) -> None:
+    """It is frozen, its text is a table with these words, and its figure has something in it."""
+    assert is_dataclass(result)
+    with pytest.raises(AttributeError):
+        result.anything = 1  # type: ignore[attr-defined]
+    for word in words:
+        assert word in str(result)
+    figure = result.plot()  # type: ignore[attr-defined]
+    assert any(axes.has_data() for axes in figure.axes)
+
+
+@pytest.fixture(scope="module")
+def steps() -> s2r.Recording:
+    """Eight seconds of the first joint's steps."""
+    return s2r.read_recording(BENCH / "steps.csv").between(0, 400)
+
+
+@pytest.fixture(scope="module")
+def model(steps) -> s2r.Model:
+    return s2r.identify(steps, BENCH / "robot.toml")
+
+
+def test_the_names_are_there_and_light() -> None:
+    names = ", ".join(f"s.{name}" for name in VERBS)
+    light = "import sys, sim2real as s; assert not {'numpy', 'sim', 'warp'} & set(sys.modules)"
+    program = (
+        f"{light}\nassert set(dir(s)) >= set(s.__all__)\nprint([callable(v) for v in ({names})])"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT)
+    assert run.stdout.strip() == str([True] * len(VERBS)), run.stderr
+
+
+def test_a_folder_does_not_hide_the_verb_of_its_name() -> None:
+    program = (
+        "import sim2real.ranges.entry, sim2real.posterior.posteriors, sim2real.diagnose.result\n"
+        "import sim2real.robot, sim2real.check, sim2real as s\n"
+        "print(*[type(getattr(s, n)).__name__ for n in "
+        "('ranges', 'posterior', 'diagnose', 'density', 'check')])"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT)
+    assert run.stdout.split() == ["function"] * 5, run.stderr
+
+
+def test_identify_and_predict(steps, model) -> None:
+    prints_and_draws(model, "kp", "latency", "held out")
+    found = s2r.predict(steps, BENCH / "robot.toml", model)
+    prints_and_draws(found, "steps", "j1", "mrad")
+    assert found.angles[0].shape == steps.position.shape
+    assert max(found.rmse.values()) < 0.005
+    unmeasured = replace(steps, position=np.full_like(steps.position, np.nan))
+    blind = s2r.predict(unmeasured, BENCH / "robot.toml", model)
+    np.testing.assert_array_equal(blind.angles[0], found.angles[0])
+    assert all(math.isnan(error) for error in blind.rmse.values())
+
+
+def test_density() -> None:
+    found = s2r.density(BENCH / "robot.toml")
+    prints_and_draws(found, "head", "density")
+    assert np.average(found.value, weights=found.length_m) == pytest.approx(1.0)
+
+
+def test_posterior_and_ranges(model) -> None:
+    steps, model = simulated.linear_bench(model)
+    chain = {"steps": 250, "walkers": 16, "seed": 3}
+    found = s2r.posterior(steps, BENCH / "robot.toml", model, **chain)
+    prints_and_draws(found, "kp", "N m/rad", "90 %")
+    low, high = found.joints["j1"].quantiles(0.001, 0.999)[:, 0]
+    assert low < model.joints["j1"].kp_Nm_per_rad < high
+    assert found.sample().names[0] == "j1.kp_Nm_per_rad"
+    same = s2r.ranges(steps, BENCH / "robot.toml", model, **chain)
+    prints_and_draws(same, "command_latency_s", "uniform")
+    np.testing.assert_array_equal(same.posteriors["j1"].values, found.joints["j1"].values)
+    with pytest.raises(InputError, match="j1"):
+        found.plot("tail")
+    arviz = pytest.importorskip("arviz")
+    data = found.to_arviz()
+    assert set(data.posterior.data_vars) == set(found.sample().names)
+    assert data.posterior["j2.latency_s"].attrs["units"] == "s"
+    assert np.isfinite(arviz.summary(data)["mean"]).all()
+
+
+def test_calibrate_and_simulate_in_the_twin() -> None:
+    swim = s2r.read_recording(POOL / "p1.csv").between(0, 500)
+    found = s2r.calibrate(swim, POOL / "robot.toml", POOL / "model.json")
+    prints_and_draws(found, "twin.thrust", "held-out error", "surge")
+    before, after = found.twin.train[:, 0]
+    assert after < before
+    swum = s2r.simulate(swim, POOL / "robot.toml", found.model, fidelity="twin")
+    prints_and_draws(swum, "p1", "path of the head")
+    one = swum.swims[0]
+    assert one.kind == "pool"
+    assert one.columns["body.x_m"][0] == pytest.approx(swim.columns["body.x_m"][0], abs=1e-6)
+    away = np.hypot(*(one.columns[n][-1] - swim.columns[n][-1] for n in ("body.x_m", "body.y_m")))
+    assert away < 0.5 * np.hypot(*(np.ptp(swim.columns[n]) for n in ("body.x_m", "body.y_m")))
+
+
+def test_a_diagnosis_prints_each_signal_in_its_unit() -> None:
+    joint = Mismatch("j1.position_rad", "j1", 0.005, 0.001, 0.9, {}, "always")
+    speed = Mismatch("body.surge", "body", 0.012, 0.003, 0.9, {}, "")
+    assert str(joint) == "j1: RMSE 5.00 mrad, noise 1.00 mrad; always"
+    assert str(speed) == "surge: RMSE 0.0120 m/s, noise 0.0030 m/s"
+    none = {key: {} for key in ("unknown", "baseline_fit", "enriched_fit")}
+    found = Diagnosis(
+        verdict="unexplained", mismatch=(joint, speed), effects=(), rivals=(), **none,
+        detection_limits=(), next_experiment=None, gate=(),
+        model=s2r.Model(joints={}),
+    )  # fmt: skip
+    prints_and_draws(found, "verdict: unexplained", str(joint), str(speed))

@@ -5,6 +5,7 @@ from copy import deepcopy
 import pytest
 
 from benchmarks import yardstick
+from benchmarks.known_answers import Known, judged
 
 NAMES = {"j1 backlash": 0.97, "j1 coulomb_friction|stribeck_friction": 0.6}
 ANSWER = {
@@ -81,3 +82,23 @@ def test_an_estimate_without_a_whole_interval_has_no_deviation():
     assert found["j1.kp_Nm_per_rad"] == [2.0, pytest.approx(0.2)]
     assert found["j1.kd_Nms_per_rad"] == [0.1, 0.0]
     assert found["j1.latency_s"] == [0.02, 0.001]
+
+
+@pytest.mark.parametrize(
+    ("effects", "named", "answer"),
+    [
+        (["j1 backlash"], [["j1 backlash"]], "right"),
+        (["j1 backlash"], [["j1 backlash"], ["j1 coulomb_friction"]], "right"),
+        (["j1 backlash"], [["j1 deadband", "j1 backlash"]], "group"),
+        (["j1 backlash", "j2 backlash"], [["j1 backlash"]], "in part"),
+        (["j1 backlash"], [["j1 coulomb_friction"]], "in part"),
+        (["j1 backlash"], [], "silent"),
+        (["j1 backlash"], [["j2 backlash"]], "wrong"),
+        ([], [["j1 backlash"]], "wrong"),
+        ([], [], "right"),
+    ],
+)
+def test_an_answer_is_right_only_if_all_is_named_and_nothing_else(tmp_path, effects, named, answer):
+    case = Known("", "", tmp_path, "*", effects=effects, also=["j1 coulomb_friction"])
+    groups = [{"group": group, "probability": 0.8, "sizes": {}} for group in named]
+    assert judged(case, {"verdict": "explained", "said": [], "named": groups})["answer"] == answer

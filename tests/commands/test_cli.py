@@ -1,6 +1,8 @@
 """The command line: what it writes, what it says, and how it leaves."""
 
+import argparse
 import importlib
+import inspect
 import json
 import shutil
 import subprocess
@@ -15,13 +17,18 @@ import pandas as pd
 import pytest
 from good_input import refused
 
+import sim.verbs
+import sim2real as s2r
+import sim2real.verbs
 from sim2real import cli
-from sim2real.cli import main
+from sim2real.cli import main, parser
+from sim2real.commands.command import described_arguments
 from sim2real.model import read_model
 from sim2real.recording import read_recording
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT / "datasets" / "servo_steps"
+MODEL = ROOT / "reports" / "servo_steps" / "model.json"
 COMMANDS = list(cli.COMMANDS)
 
 
@@ -137,10 +144,8 @@ def test_a_fit_of_a_prediction_says_so(bench, capsys):
     context = {"gain_ratio": 0.8}
     sidecar |= {"context": context, "started": "2025-01-01T00:00:00+00:00"}
     (bench / "steps.json").write_text(json.dumps(sidecar))
-    assert identify(bench, "--no-plots") == 0
-    commands = str(bench / "steps.csv")
     out = bench / "predicted.csv"
-    assert main(["predict", str(bench / "model.json"), commands, "--out", str(out)]) == 0
+    assert main(["predict", str(MODEL), str(bench / "steps.csv"), "--out", str(out)]) == 0
     written = read_recording(out)
     assert written.metadata == {"context": context, "simulated": True}
     assert capsys.readouterr().err == ""
@@ -176,13 +181,10 @@ def test_an_output_that_cannot_be_written_is_refused_before_any_work(bench, caps
 
 
 def test_predict_refuses_what_it_cannot_run(bench, capsys):
-    assert identify(bench, "--no-plots") == 0
-    capsys.readouterr()
-    model, commands = bench / "model.json", bench / "steps.csv"
-    run = ["predict", str(model), str(commands), "--out"]
-    content = json.loads(model.read_text())
+    content = json.loads(MODEL.read_text())
     del content["joints"]["j1"]
-    model.write_text(json.dumps(content))
+    (bench / "model.json").write_text(json.dumps(content))
+    run = ["predict", str(bench / "model.json"), str(bench / "steps.csv"), "--out"]
     refused(capsys, main([*run, str(bench / "p.csv")]), "joint j1")
     assert not (bench / "p.csv").exists()
 
@@ -206,17 +208,22 @@ def test_demo_ends_in_a_page(train, short, tmp_path, capsys, monkeypatch):
     """With ten seconds of each recording, the shipped agents or a training too short to learn."""
     demo_pool = pytest.importorskip("rl.commands.demo_pool", reason="no extra 'rl'")
     from rl.task import TASKS, shortened
+    from sim.inference.coordinates import candidates
 
+    out, data = tmp_path / "demo", short / "datasets"
     if not train:  # in this process, where the trials are short; the slow tests start the second
         monkeypatch.setattr("rl.commands.demo.ProcessPoolExecutor", InThisProcess)
-        monkeypatch.setitem(TASKS, "turn", shortened(TASKS["turn"], 100))
+        monkeypatch.setitem(TASKS, "turn", shortened(TASKS["turn"], 40))
+        monkeypatch.setattr("rl.commands.demo._DIAGNOSED", ("steps",))
+        listed = candidates(demo_pool.robot_in(data / "pool"))
+        few = {one: free for one, free in listed.items() if one[0].startswith("skin")}
+        monkeypatch.setattr("sim.inference.coordinates.candidates", lambda robot: few)
     task = shortened(demo_pool.QUICK.task, 200)
     quick = replace(demo_pool.QUICK, task=task, steps=1_280, envs=4, segment=640)
     monkeypatch.setattr(demo_pool, "QUICK", quick)  # for the ablation alone
     monkeypatch.setattr(demo_pool, "SEEDS", 2)
     monkeypatch.setattr(demo_pool, "REPEATS", 2)
-    monkeypatch.setattr("rl.commands.demo.LONGEST", 50)
-    out, data = tmp_path / "demo", short / "datasets"
+    monkeypatch.setattr("rl.commands.demo.LONGEST", 15)
     folders = ["--data", str(data / "servo_steps"), "--pool", str(data / "pool")]
     assert main(["demo", *folders, "--out", str(out), *(["--train"] if train else [])]) == 0
     page = (out / "index.html").read_text()
@@ -266,3 +273,52 @@ def test_every_real_log_runs(realdata, tmp_path, capsys):
     status = main(["identify", str(swim), "--robot", str(swim.parent / "robot.toml"),
                    "--out", str(tmp_path / "fish.json")])  # fmt: skip
     refused(capsys, status, "no J.command_rad column")
+
+
+VERBS = {
+    name: getattr(module, name)
+    for module, names in (
+        (sim2real.verbs, ("identify", "density", "posterior", "ranges", "predict")),
+        (sim.verbs, ("diagnose", "design", "calibrate", "simulate")),
+    )
+    for name in names
+}
+SET_BY_THE_COMMAND = {"ranges": {"chains"}}
+
+
+def options_of(command: str) -> dict[str, argparse.Action]:
+    (several,) = (a for a in parser()._actions if a.dest == "command")
+    return {action.dest: action for action in several.choices[command]._actions}
+
+
+@pytest.mark.parametrize("name", VERBS)
+def test_every_argument_of_a_verb_is_described(name):
+    arguments = list(inspect.signature(VERBS[name]).parameters)
+    assert list(described_arguments(VERBS[name])) == arguments
+
+
+@pytest.mark.parametrize("name", [name for name in VERBS if name not in ("posterior", "predict")])
+def test_a_command_takes_what_its_verb_takes(name):
+    options = options_of(name)
+    for argument, parameter in inspect.signature(VERBS[name]).parameters.items():
+        if argument in SET_BY_THE_COMMAND.get(name, ()):
+            continue
+        assert argument in options, f"{name}: {argument}"
+        if parameter.default is not inspect.Parameter.empty:
+            assert options[argument].default == parameter.default, f"{name}: {argument}"
+
+
+def test_identify_gives_the_same_digits_both_ways(short, tmp_path):
+    folder = short / "datasets" / "servo_steps"
+    files = [str(folder / f"{name}.csv") for name in ("steps", "chirp")]
+    robot, out = str(folder / "robot.toml"), tmp_path / "model.json"
+    assert main(["identify", *files, "--robot", robot, "--out", str(out), "--no-plots"]) == 0
+    s2r.write_model(s2r.identify(files, robot), tmp_path / "same.json")
+    written, same = (json.loads((tmp_path / n).read_text()) for n in ("model.json", "same.json"))
+    for content in (written, same):
+        content.pop("provenance")
+    assert written == same
+    assert main(["predict", str(out), files[0], "--out", str(tmp_path / "p.csv")]) == 0
+    predicted = s2r.read_recording(tmp_path / "p.csv").position
+    (angles,) = s2r.predict(files[0], robot, s2r.read_model(out)).angles
+    assert abs(predicted - angles).max() < 1e-9

@@ -5,13 +5,14 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from good_input import ROBOT
+from good_input import ROBOT, message
 from rival_pair import RIVALS
 
 from sim2real.cli import main
+from sim2real.design.contexts import AS_IT_IS, read_contexts
 from sim2real.diagnose.result import DESIGN, to_design
 from sim2real.model import JointModel, Model, write_model
-from sim2real.recording import read_commands, read_recording
+from sim2real.recording import Load, read_commands, read_recording
 
 TRUTH = {"kp_Nm_per_rad": 2.2, "kd_Nms_per_rad": 0.06, "latency_s": 0.05}
 INERTIA = 0.002
@@ -139,3 +140,44 @@ def test_options_that_exclude_each_other_are_one_line(folder, capsys):
     refused(folder, capsys, "--inertia", "--diagnosis")
     assert design("--again") == 2
     refused(folder, capsys, "--again", "--diagnosis")
+
+
+GOOD = """
+[[contexts]]
+name = "second arm"
+[contexts.loads.j1]
+inertia_kgm2 = 0.004
+pendulum_mass_kg = 0.05
+pendulum_length_m = 0.1
+"""
+
+
+def contexts(folder, text):
+    path = folder / "contexts.toml"
+    path.write_text(text)
+    return read_contexts(path)
+
+
+def test_loads_and_ratios_are_those_of_the_file(tmp_path):
+    (arm,) = contexts(tmp_path, GOOD)
+    assert arm.name == "second arm"
+    assert arm.load(RIVALS) == Load(0.004, 0.05, 0.1)
+    assert AS_IT_IS.load(RIVALS) == RIVALS.load
+    text = '[[contexts]]\nname = "low"\nsupply_ratio = 0.5\ngain_ratio = 2.0\n'
+    assert contexts(tmp_path, text)[0].ratios == {"supply_ratio": 0.5, "gain_ratio": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "contexts"),
+        ('[[contexts]]\nname = "same"\n', "a context that changes nothing"),
+        ('[[contexts]]\nname = "x"\ngains = 2.0\n', "contexts[0].gains"),
+        ('[[contexts]]\nname = "x"\nsupply_ratio = 0.0\n', "contexts[0].supply_ratio"),
+        ('[[contexts]]\nname = "x"\ngain_ratio = 1e5\n', "a ratio from 0.001 to 1000"),
+        (GOOD + GOOD, "two contexts named 'second arm'"),
+        (GOOD.replace("0.004", "-1"), "contexts[0].loads.j1.inertia_kgm2"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(tmp_path, text, expected):
+    message(lambda: contexts(tmp_path, text), expected)

@@ -1,14 +1,14 @@
 """Two short recordings each of a servo that misses nothing and of some that miss one effect."""
 
+import sys
+
 import pytest
 from searching import Searched, searched
 from simulated import FRICTION, robot, two
-from strange import position_damping, strange
 
-from sim2real.diagnose.diagnose import Case, diagnose, diagnose_all, examined
+from sim2real.diagnose.diagnose import Case, diagnose, examined
 from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.result import Diagnosis
-from sim2real.recording import Recording
 
 
 @pytest.fixture(scope="session")
@@ -27,19 +27,21 @@ def filtered() -> Searched:
 
 
 @pytest.fixture(scope="session")
-def explained() -> Diagnosis:
-    """Of a servo with dry friction."""
-    return diagnose(two(**FRICTION), robot("j1"))
+def both() -> tuple[Diagnosis, tuple[Case, list[JointFindings]]]:
+    """The diagnosis of a servo with dry friction, and what it puts into words."""
+    seen = []
+    with pytest.MonkeyPatch.context() as patch:
+        module = sys.modules["sim2real.diagnose.diagnose"]
+        patch.setattr(module, "examined", lambda *a, **k: seen.append(examined(*a, **k)) or seen[0])
+        return diagnose(two(**FRICTION), robot("j1")), seen[0]
 
 
 @pytest.fixture(scope="session")
-def explained_joint() -> tuple[Case, list[JointFindings]]:
-    """What is known of its joint, before it is put into words."""
-    return examined(Case(two(**FRICTION), robot("j1")))
+def explained(both) -> Diagnosis:
+    return both[0]
 
 
 @pytest.fixture(scope="session")
-def puzzling() -> tuple[list[Recording], Diagnosis]:
-    """Of a servo that does what is in no catalogue, with its recordings."""
-    given = [strange(k, name, position_damping, seconds=8.0) for k, name in ((1, "a"), (2, "b"))]
-    return given, diagnose_all([Case(given, robot("j1"))], thorough=True)[0]
+def explained_joint(both) -> tuple[Case, list[JointFindings]]:
+    """What is known of the joint, before it is put into words."""
+    return both[1]

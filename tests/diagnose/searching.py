@@ -30,7 +30,8 @@ class Searched:
 
 def searched(noise=NOISE, traces=(), **effects) -> Searched:
     """The search on two recordings, by default of a servo with these effects."""
-    traces = list(traces) or [traced(1, "a", **effects), traced(2, "b", **effects)]
+    given = {"seconds": 8.0, **effects}
+    traces = list(traces) or [traced(1, "a", **given), traced(2, "b", **given)]
     joints, rng = [JointCase("j1", traces, noise, None)], np.random.default_rng(0)
     batch = Batch([traces])
     plain = baselines(batch)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from simulated import FRICTION, INERTIA, KD, KP, LATENCY, NOISE, recording, robot, two
+from strange import position_damping, strange
 
 from sim2real.diagnose.calibrated_odds import judged
 from sim2real.diagnose.decision import DECISION
@@ -149,8 +150,9 @@ def test_an_effect_that_may_be_zero_is_not_named(explained_joint):
     assert judged(replace(joint.finding, best=vague), joint.unseen).groups == ()
 
 
-def test_what_is_in_no_catalogue_is_unexplained(puzzling):
-    _, found = puzzling
+def test_what_is_in_no_catalogue_is_unexplained():
+    given = [strange(k, name, position_damping, seconds=6.0) for k, name in ((1, "a"), (2, "b"))]
+    (found,) = diagnose_all([Case(given, robot("j1"))])
     assert found.verdict == "unexplained"
     assert not found.effects, "nothing that matters has a name"
 
@@ -190,8 +192,8 @@ def beside(first, second):
 
 def test_only_the_joint_that_has_it_is_named():
     recordings = [
-        beside(plain, recording(k, plain.name, seconds=8.0, **FRICTION))
-        for k, plain in enumerate(two(), start=6)
+        beside(recording(k, name, seconds=5.0), recording(k + 5, name, seconds=5.0, **FRICTION))
+        for k, name in ((1, "a"), (2, "b"))
     ]
     found = diagnose_all([Case(recordings, robot("j1", "j2"))])[0]
     assert [(e.effect, e.component) for e in found.effects] == [("coulomb_friction", "j2")]

@@ -1,4 +1,4 @@
-"""Readings that are left out, and noise that grows with speed."""
+"""Readings that are left out, noise that grows with speed, and clocks that run apart."""
 
 from dataclasses import replace
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from simulated import NOISE, traced
 
+from sim2real.diagnose.case import JointCase, on_one_clock
 from sim2real.diagnose.reading_noise import (
     jitter_s,
     left_out,
@@ -13,6 +14,8 @@ from sim2real.diagnose.reading_noise import (
     with_reading_noise,
     without_releases,
 )
+from sim2real.diagnose.servo_search import baselines, plain_sets
+from sim2real.servo.batch import Batch
 
 JITTER_S = 2.5e-3
 
@@ -71,3 +74,34 @@ def test_a_release_is_left_out_and_a_slow_servo_is_not(usual):
     assert (~kept.used).any()
     assert "left out from" in next(iter(left_out([kept])))
     assert without_releases(usual, usual.position + 0.01) is usual
+
+
+QUIET = 1e-5
+
+
+def moved(drifts):
+    """By how much recordings whose clocks run apart so much were moved, and should be, rad."""
+    given = [
+        traced(k, f"r{k}", seconds=30.0, noise=QUIET, clock_drift={"s_per_s": drift})
+        for k, drift in enumerate(drifts)
+    ]
+    still = [traced(k, f"r{k}", seconds=30.0, noise=QUIET) for k, _ in enumerate(drifts)]
+    batch = Batch([given])
+    best = [one.best for one in plain_sets(baselines(batch))]
+    (joint,) = on_one_clock(batch, [JointCase("j1", given, QUIET, None)], best)
+    now = [
+        after.position - before.position for after, before in zip(joint.traces, given, strict=True)
+    ]
+    right = [a.position - b.position for a, b in zip(still, given, strict=True)]
+    return np.concatenate(now), np.concatenate(right)
+
+
+def test_each_recording_has_a_drift_of_its_own():
+    now, right = moved((20e-6, -15e-6))
+    assert np.std(right) > 10 * QUIET
+    assert np.std(now - right) < 0.3 * np.std(right)
+
+
+def test_clocks_that_run_apart_are_left_alone():
+    now, _ = moved((3e-4, 3e-4))
+    assert not now.any()

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from searching import searched
-from simulated import INERTIA, KD, KP, LATENCY, NOISE, PERIOD, column, recording, traced
+from simulated import INERTIA, KD, KP, LATENCY, NOISE, PERIOD, column, traced
 from strange import position_damping, strange
 
 from sim2real.diagnose import servo_search
@@ -14,7 +14,7 @@ from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.effect_search import search_again
 from sim2real.diagnose.investigate import investigate
-from sim2real.diagnose.screening import FITTED, candidate
+from sim2real.diagnose.screening import FITTED, Screen, candidate, screen
 from sim2real.diagnose.servo_search import baselines, plain_sets
 from sim2real.effects import named
 from sim2real.identification.servo_problem import residual_angles
@@ -89,7 +89,7 @@ def test_the_plain_servo_does_not_ring_faster_than_samples_can_tell():
 
 def test_a_search_out_of_budget_tries_no_combinations_and_says_so(monkeypatch):
     two = {"coulomb_friction": {"torque_Nm": 0.05}, "command_filter": {"time_constant_s": 0.06}}
-    given = [traced(1, "a", **two), traced(2, "b", **two)]
+    given = [traced(1, "a", seconds=6.0, **two), traced(2, "b", seconds=6.0, **two)]
 
     def tried(most):
         monkeypatch.setattr(servo_search, "DECISION", replace(DECISION, search_substeps=most))
@@ -105,7 +105,7 @@ def test_a_search_out_of_budget_tries_no_combinations_and_says_so(monkeypatch):
 
 def test_a_joint_that_is_looked_at_again_keeps_its_place():
     """The second look is at some joints only, which are numbered anew there."""
-    clean = [trace(recording(k, f"c{k}", seconds=8.0), "j1") for k in (1, 2)]
+    clean = [traced(k, f"c{k}", seconds=8.0) for k in (1, 2)]
     odd = [trace(strange(k, f"s{k}", position_damping, seconds=8.0), "j1") for k in (3, 4)]
     batch = Batch([clean, odd])
     rng = np.random.default_rng(0)
@@ -115,3 +115,42 @@ def test_a_joint_that_is_looked_at_again_keeps_its_place():
     for finding, noise in zip(found, (NOISE, 3 * NOISE), strict=True):
         left = residual_angles(batch, finding.tried.plain.fit)
         assert np.sqrt(np.mean(left**2)) == pytest.approx(noise, rel=0.7)
+
+
+BLOCK_COUNT, STARTS, COUNT = 40, 30, 1e6
+
+
+def of_noise(rng):
+    """A screen of white noise by starts that overlap, as those of one effect do."""
+    own, shared = rng.standard_normal((2, BLOCK_COUNT, STARTS)), 0.8
+    pieces = np.sqrt(1 - shared) * own[0] + np.sqrt(shared) * own[1, :, :1]
+    blocks = pieces / np.sqrt(BLOCK_COUNT)
+    index = np.arange(STARTS)
+    return Screen(index, index, blocks.sum(axis=0), blocks, np.ones(STARTS), COUNT)
+
+
+@pytest.mark.parametrize("level", [0.05, 0.2])
+def test_the_threshold_keeps_its_level_on_white_noise(level):
+    rng = np.random.default_rng(0)
+    screens = [of_noise(rng) for _ in range(400)]
+    alarms = np.mean([s.gain.max() > s.threshold(level, rng, draws=199) for s in screens])
+    assert 0.4 * level < alarms < 1.4 * level
+
+
+def test_gain_counts_positive_scores_only():
+    result = of_noise(np.random.default_rng(0))
+    assert (result.gain[result.score <= 0] == 0).all()
+    positive = result.score > 0
+    np.testing.assert_allclose(result.gain[positive], 0.5 * result.score[positive] ** 2, rtol=1e-4)
+
+
+def test_an_effect_of_a_start_s_strength_scores_what_is_visible_of_it():
+    weak = {"coulomb_friction": {"torque_Nm": 0.004}}
+    batch = Batch([[traced(seed, str(seed), **weak)] for seed in range(6)])
+    plain = baselines(batch)
+    option = candidate(named("coulomb_friction"), 2.2, 0.002)
+    option.starts[:] = 0.004
+    scores = screen(batch, plain, [[option]] * 6)
+    expected = np.mean([s.visible[0] for s in scores])
+    assert expected > 5
+    assert np.mean([s.score[0] for s in scores]) == pytest.approx(expected, abs=4 / np.sqrt(6))

@@ -15,6 +15,8 @@ from sim2real.inference.least_squares import (
     robust_loss,
     robust_scale,
 )
+from sim2real.inference.parameters import Parameter
+from sim2real.units import unit_of
 
 T = np.linspace(0, 3, 300)
 TRUTH = np.array([[2.0, 1.5], [1.0, 0.4], [3.0, 2.5]])
@@ -219,3 +221,21 @@ def test_searches_that_follow_a_better_one_or_stay_behind_cannot_win():
 def test_the_error_is_that_of_all_samples_together():
     assert rms([np.array([3.0]), np.array([4.0, 0.0])]) == pytest.approx(np.sqrt(25 / 3))
     assert rms([]) == 0.0
+
+
+def test_a_parameter_says_its_prior_and_its_unit():
+    assert (
+        str(Parameter("kp_Nm_per_rad", 0.5, 8.0, 2.0, log=True)) == "log-uniform 0.5 to 8 N m/rad"
+    )
+    assert str(Parameter("latency_s", 0.0, 0.5, 0.05)) == "uniform 0 to 0.5 s"
+    assert str(Parameter("u_m_s", -1, 1, 0.1, 0.02, 0.3)) == "normal 0.02 ± 0.3 m/s"
+    assert Parameter("kp_Nm_per_rad", 1, 2, 1, unit="1/s²").unit == "1/s²"
+
+
+@pytest.mark.parametrize(
+    "name, unit",
+    [("gap_rad", "rad"), ("limit_rad_s2", "rad/s²"), ("ki_Nm_per_rad_s", "N m/(rad s)"),
+     ("coefficient_Nms2", "N m s²"), ("s_per_s", "s/s"), ("ratio", "")],
+)  # fmt: skip
+def test_units(name, unit):
+    assert unit_of(name) == unit

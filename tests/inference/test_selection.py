@@ -1,8 +1,9 @@
-"""The search on linear models: what is there is found, though another looked likelier at first."""
+"""The search for a set, on problems whose answer is known; the Occam factor of a linear model."""
 
 import numpy as np
 import pytest
 
+from sim2real.inference.evidence import occam_factor
 from sim2real.inference.selection import Breadth, Hypothesis, Ledger, select, widen
 
 NAMES = "abcdef"
@@ -137,3 +138,17 @@ def test_no_set_is_widened_beyond_the_most():
     ledger.keep(given.hypothesis(0, frozenset()))
     widen(given, [ledger], most=2)
     assert len(ledger.best.members) == 2
+
+
+RNG = np.random.default_rng(3)
+A = RNG.standard_normal((30, 3))
+
+
+def test_occam_counts_what_nuisances_leave():
+    information = A.T @ A
+    left = information[2, 2] - information[2, :2] @ np.linalg.solve(
+        information[:2, :2], information[:2, 2]
+    )
+    found = occam_factor(information[None], 2.0, nuisance=2)[0]
+    assert found == pytest.approx(0.5 * np.log(1 + 4 * left))
+    assert occam_factor(information[None], 2.0, nuisance=3)[0] == 0.0

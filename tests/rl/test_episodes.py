@@ -1,9 +1,14 @@
-"""Metrics of swims whose answers are known."""
+"""Swims: their figures, and a film with the robot, its way and its target on it."""
 
+import cv2
 import numpy as np
 import pytest
 
-from rl.experiments.episodes import energy, path_length
+from rl.controllers.classical import ProportionalNavigation
+from rl.experiments.episodes import energy, path_length, run_episodes
+from rl.experiments.film import TARGET, Film
+from rl.task import TASKS, shortened
+from sim.view.video import FRAMES_PER_S, Video
 
 
 def test_energy_is_the_sum_of_squares_of_what_is_known() -> None:
@@ -17,3 +22,19 @@ def test_path_of_a_straight_line() -> None:
     line = np.linspace(0, 1, 51)[:, None, None] * np.array([[3.0, 4.0], [0.0, 0.0]])
     line[41:, 0] = np.nan
     assert path_length(line) == pytest.approx([4.0, 0.0])
+
+
+def test_a_film_shows_the_whole_swim_and_the_target(world_of, tmp_path):
+    path = tmp_path / "swim.avi"
+    world = world_of(2, shortened(TASKS["near"], 100), seed=1)
+    limits = np.stack([world.low.numpy(), world.high.numpy()], axis=1)
+    with Video(path) as video, Film(video, world, "pnl", width=320) as film:
+        run_episodes(world, ProportionalNavigation(limits, 2), watch=film)
+    read = cv2.VideoCapture(str(path))
+    frames = []
+    while (more := read.read())[0]:
+        frames.append(more[1][:, :, ::-1])
+    assert abs(len(frames) - (2.0 + 1.0) * FRAMES_PER_S) <= 2
+    green = np.abs(frames[0].astype(int) - np.array(TARGET)).max(axis=2) < 60
+    assert 5 < green.sum() < 0.02 * green.size
+    assert np.abs(frames[0].astype(int) - frames[-1]).max() > 100

@@ -109,7 +109,7 @@ def test_set_points_go_on_a_line_from_where_the_joints_are():
     assert line == pytest.approx(expected, abs=1e-6)
 
 
-NETWORKS = [(VIEWS[0], (24, 24)), (PAPER, (24, 24)), (PAPER, (24, 7, 16)), (PAPER, ())]
+NETWORKS = [(VIEWS[0], (24, 24)), (PAPER, (24, 7, 16)), (PAPER, ())]
 """Views and hidden layers."""
 
 
@@ -127,7 +127,7 @@ def trained(request, robot, model):
     return agent, policy_of(agent)
 
 
-@pytest.mark.parametrize("trained", NETWORKS[:2], indirect=True, ids=str)
+@pytest.mark.parametrize("trained", [NETWORKS[0], (PAPER, (24, 24))], indirect=True, ids=str)
 def test_a_policy_does_in_training_what_it_does_outside(trained, world_of, model):
     """Decisions on the device, and NumPy at 50 Hz, on one noisy swim."""
     agent, policy = trained
@@ -155,12 +155,12 @@ def test_a_policy_does_in_training_what_it_does_outside(trained, world_of, model
     assert float((outside.joint.abs()).max()) > 0.05
 
 
-SWUM_STEPS = 1500
+SWUM_STEPS = 1200
 
 
 @pytest.fixture(scope="module")
 def swum(trained, robot, model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A swim of 30 s through latency with every tenth frame lost: what was seen, gone, sent."""
+    """A swim of 24 s through latency with every tenth frame lost: what was seen, gone, sent."""
     from rl.make import make_world
 
     _, policy = trained

@@ -11,7 +11,12 @@ import numpy as np
 import pytest
 from good_input import message
 
+from sim.inference.diagnose_swims import simulator_of
+from sim.inference.swims import swim_of
+from sim.view.swim_page import swims_scene
 from sim2real.cli import main
+from sim2real.diagnose.result import Diagnosis
+from sim2real.model import read_model
 from sim2real.recording import Recording, read_recording
 from sim2real.robot import read_robot
 from sim2real.viewers.files import write_mcap, write_rerun
@@ -182,3 +187,32 @@ def test_predict_shows_what_was_measured_too(short: Path, tmp_path: Path) -> Non
     residual = measured - predicted
     shown = [content["predicted"] for content in contents]
     np.testing.assert_allclose(shown, residual[np.isfinite(residual)], atol=1e-8)
+
+
+def test_a_diagnosis_shows_the_swims_of_both_models() -> None:
+    robot, plain = read_robot(POOL / "robot.toml"), read_model(POOL / "model.json")
+    recording = read_recording(POOL / "p1.csv").between(0, 150)
+    swim = swim_of(recording, robot)
+    slower = {
+        name: replace(joint, kp_Nm_per_rad=0.3 * joint.kp_Nm_per_rad)
+        for name, joint in plain.joints.items()
+    }
+    enriched = replace(plain, joints=slower)
+    found = Diagnosis("explained", (), (), (), {}, {}, {}, enriched, baseline=plain)
+    simulate = simulator_of(robot, plain)
+    scene = swims_scene(found, [recording], [swim], simulate, robot)
+    assert [track.path for track in scene.tracks] == [
+        ("p1", "body", "measured"),
+        ("p1", "body", "plain"),
+        ("p1", "body", "enriched"),
+    ]
+    measured, before, after = scene.tracks
+    np.testing.assert_array_equal(before.t, recording.t)
+    np.testing.assert_allclose(before.points[0, 0], measured.points[0, 0], atol=0.02)
+    assert np.abs(before.points - after.points).max() > 0.02
+    groups = {group.path: group for group in scene.groups}
+    simulated = groups["p1", "j1", "position"].signals
+    assert list(simulated) == ["command", "measured", "plain", "enriched"]
+    assert np.ptp(simulated["enriched"]) < np.ptp(simulated["plain"])
+    alone = swims_scene(found, [recording], [swim], None, robot)
+    assert len(alone.tracks) == 1
