@@ -78,6 +78,8 @@ def calibration_of(robot):
     found = SimpleNamespace(
         free=(SimpleNamespace(name=EVIL),),
         best=np.array([1.25]),
+        centre=np.array([1.25]),
+        covariance=np.eye(1),
         interval=lambda: np.array([[1.0, 1.5]]),
         rmse=np.array([[0.5, 0.5, 0.5, 0.5], [0.25, 0.25, 0.25, 0.125]]),
         noise=np.array([0.0, 0.0, 0.0, 0.1]),
