@@ -10,18 +10,19 @@ were trained for, the plan, and the SHA-256 of all these files and of the inputs
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import shutil
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from benchmarks.harness import ROOT, command_line
 from rl.commands.demo_pool import PRETRAINED, QUICK, SEEDS, SWIM, agents_in
-from rl.experiments.ablation import PAPER, write_pretrained
+from rl.deploy.policy import npz
+from rl.experiments.ablation import LISTING, PAPER, policy_in
 from rl.sac.plan import Plan
 from sim2real.errors import InputError
-from sim2real.model import read_model
-from sim2real.output import provenance
-from sim2real.ranges.entry import read_ranges
+from sim2real.output import provenance, sha256_of, write_json, write_whole
 
 POOL = ROOT / "datasets" / "pool"
 
@@ -33,11 +34,31 @@ def main() -> None:
     agents = trained(options.run / "trained" / "train", plan)
     inputs = [POOL / "robot.toml", POOL / "model.json", POOL / f"{SWIM}.csv"]
     made = provenance([*inputs, *agents_in(POOL)], None)
-    model, ranges = (options.run / name for name in ("calibrated.json", "ranges.json"))
-    listing = write_pretrained(
-        options.out, agents, plan, read_model(model), read_ranges(ranges), made
-    )
+    files = {
+        "model.json": options.run / "calibrated.json",
+        "ranges.json": options.run / "ranges.json",
+    }
+    listing = write_pretrained(options.out, agents, plan, files, made)
     print(f"{listing}: {len(agents)} agents")
+
+
+def write_pretrained(
+    folder: Path,
+    agents: Sequence[Path],
+    plan: Plan,
+    files: Mapping[str, Path],
+    made: dict[str, Any],
+) -> Path:
+    """Write policies and files by name, and their listing with SHA-256; old policies go."""
+    for old in folder.glob("*/policy.npz"):
+        shutil.rmtree(old.parent)
+    kept = {name: write_whole(folder / name, file.read_bytes()) for name, file in files.items()}
+    for agent in agents:
+        name = f"{agent.name}/policy.npz"
+        kept[name] = write_whole(folder / name, npz(policy_in(agent)))
+    digests = {name: sha256_of(file) for name, file in kept.items()}
+    content = {"plan": plan.content(), "files": digests, "provenance": made}
+    return write_json(folder / LISTING, content)
 
 
 def trained(folder: Path, plan: Plan) -> list[Path]:

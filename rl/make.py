@@ -185,8 +185,8 @@ def with_density(model: Model, robot: Robot) -> Model:
     """The model, with the normalised densities of the robot if it has none."""
     if "normalised_density" in model.body:
         return model
-    density = normalised_density(robot).value
-    return replace(model, body={**model.body, "normalised_density": [float(x) for x in density]})
+    density = normalised_density(robot).value.tolist()
+    return replace(model, body={**model.body, "normalised_density": density})
 
 
 def _with(model: Model, links: Sequence[str], draw: Mapping[str, float]) -> Model:

@@ -51,17 +51,13 @@ class Check(NotebookDisplay):
         return [*self.findings, *merged(rows)]
 
 
-def check(
-    recording: Recording, robot: Robot | None = None, *, seed: int = 0, identifiable: bool = True
-) -> Check:
+def check(recording: Recording, robot: Robot | None = None, *, seed: int = 0) -> Check:
     """Check a recording; with ``robot``, also against its limits and data sheets.
 
     Args:
         recording: The recording.
         robot: The robot that was recorded.
         seed: Seed of the search for an approximate servo, which predicts the precision.
-        identifiable: Whether to predict which parameters can be identified, which takes most of
-            the time.
 
     Raises:
         InputError: If the robot lacks a joint of the recording, or a unit or a column must be in
@@ -74,17 +70,17 @@ def check(
         recording.kind,
         recording.duration_s,
         timing(recording.t, recording.position),
-        tuple(_check_joint(recording, j, robot, seed if identifiable else None) for j in index),
+        tuple(_check_joint(recording, j, robot, seed) for j in index),
         tuple(recording_findings(recording)),
     )
 
 
-def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int | None) -> JointCheck:
+def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int) -> JointCheck:
     data = measured_joint(recording, j)
     name, powered = data.joint, data.t.size
     findings = tuple(joint_findings(recording, data, robot))
     identifiable: tuple[str, ...] = ()
-    if seed is not None and powered > 1:
+    if powered > 1:
         # Excitation alone says nothing about readings that do not belong to it.
         identifiable = ("what can be identified is not stated while the warnings hold",)
         if all(finding.severity == "note" for finding in findings):

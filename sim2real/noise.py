@@ -99,11 +99,8 @@ def noise_floor(t: Array, command: Array, position: Array) -> float:
 def difference_noise(t: Array, position: Array) -> float:
     """Standard deviation of the noise on a moving joint, from differences of high order.
 
-    Each ``order + 1`` neighbouring samples are combined with the weights of the divided
-    difference, scaled to unit norm: they cancel polynomial motion of degree below ``order`` and
-    keep the variance of white noise (difference-based estimation: P. Hall, J. W. Kay, D. M.
-    Titterington, Biometrika 77, 1990, pp. 521-528). Motion can only increase the estimate, so the
-    smallest one of orders 2 to 5 is used, each from the fifth of blocks of 20 with least variance.
+    Motion can only increase ``divided_differences``, so the smallest estimate of orders 2 to 5 is
+    used, each from the fifth of blocks of 20 with least variance.
 
     Times in s and angles in rad, none missing, are of shape (T,). 0.0 for fewer than 6 samples.
     """
@@ -111,20 +108,28 @@ def difference_noise(t: Array, position: Array) -> float:
         return 0.0
     estimates = []
     for order in range(2, 6):
-        times, angles = (sliding_window_view(x, order + 1) for x in (t, position))
-        unit = times[:, 1:2] - times[:, :1]
-        gaps = [
-            (times[:, k : k + 1] - np.delete(times, k, axis=1)) / unit for k in range(order + 1)
-        ]
-        weight = 1 / np.stack([gap.prod(axis=1) for gap in gaps], axis=1)
-        weight /= np.linalg.norm(weight, axis=1, keepdims=True)
-        square = np.sum(weight * (angles - angles[:, :1]), axis=1) ** 2
+        square = divided_differences(t, position, order) ** 2
         size = min(_MOVING_BLOCK, square.size)
         blocks = square[: square.size // size * size].reshape(-1, size).mean(axis=1)
         # Neighbouring differences share samples, which reduces the degrees of freedom.
         free = size * comb(2 * order, order) ** 2 / comb(4 * order, 2 * order)
         estimates.append(_quietest(blocks, free))
     return float(np.sqrt(min(estimates)))
+
+
+def divided_differences(t: Array, position: Array, order: int) -> Array:
+    """Divided differences of ``order + 1`` neighbouring samples, with weights of unit norm.
+
+    They cancel polynomial motion of degree below ``order`` and keep the variance of white noise
+    (difference-based estimation: P. Hall, J. W. Kay, D. M. Titterington, Biometrika 77, 1990,
+    pp. 521-528). Times in s and angles in rad are of shape (T,), the result (T - order,).
+    """
+    times, angles = (sliding_window_view(x, order + 1) for x in (t, position))
+    unit = times[:, 1:2] - times[:, :1]
+    gaps = [(times[:, k : k + 1] - np.delete(times, k, axis=1)) / unit for k in range(order + 1)]
+    weight = 1 / np.stack([gap.prod(axis=1) for gap in gaps], axis=1)
+    weight /= np.linalg.norm(weight, axis=1, keepdims=True)
+    return np.asarray(np.sum(weight * (angles - angles[:, :1]), axis=1))
 
 
 def _quiet_blocks(t: Array, command: Array, position: Array, step: float) -> tuple[Array, Array]:

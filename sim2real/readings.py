@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim2real.arrays import Array, Index, Mask
+from sim2real.inference.segments import runs
 
 SMALLEST_ERROR_RAD = 0.2
 """Smallest distance of a wrong reading from its neighbours."""
@@ -126,8 +127,7 @@ def departure(
     best = min(range(len(apart)), key=lambda lag: float(apart[lag] @ apart[lag]))
     error = np.abs(apart[best])
     limit = max(least_rad, share * float(np.ptp(sent)))
-    edges = np.flatnonzero(np.diff(np.r_[False, error > limit, False].astype(int)))
-    windows = [(a, b) for a, b in edges.reshape(-1, 2) if b - a >= sustained]
+    windows = [(a, b) for a, b in runs(error > limit) if b - a >= sustained]
     if not windows:
         return None
     inside = np.concatenate([np.arange(a, b) for a, b in windows])

@@ -6,7 +6,6 @@ Without a technique the default of the old simulator is used (Lin, Liu, Wang, Se
 from __future__ import annotations
 
 import hashlib
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from rl.deploy.export import read_zip
-from rl.deploy.policy import Policy, PolicyController, npz, read_npz
+from rl.deploy.policy import Policy, PolicyController, read_npz
 from rl.experiments.episodes import Episodes, measured
 from rl.experiments.testbeds import Controllers, Testbed, same_starts
 from rl.make import digest, draws_of, noise_of, with_density
@@ -24,9 +23,9 @@ from rl.task import TASKS, Task
 from rl.world import Draws
 from sim2real.arrays import Array
 from sim2real.errors import InputError
-from sim2real.model import FittedEffect, JointModel, Model, write_model
-from sim2real.output import sha256_of, write_json, write_whole
-from sim2real.ranges.entry import Ranges, write_ranges
+from sim2real.model import FittedEffect, JointModel, Model
+from sim2real.output import sha256_of, write_json
+from sim2real.ranges.entry import Ranges
 from sim2real.robot import Robot
 from sim2real.structured import Fields, read_json
 
@@ -246,21 +245,3 @@ def read_pretrained(folder: Path, arms: Sequence[str]) -> tuple[list[Path], tupl
         if sha256_of(file) != sha256:
             raise InputError(file, "", "another file", f"the one listed in {LISTING}")
     return agents, tuple(map(int, seeds))
-
-
-def write_pretrained(
-    folder: Path, agents: Sequence[Path], plan: Plan, model: Model, ranges: Ranges,
-    note: dict[str, Any],
-) -> Path:  # fmt: skip
-    """Write policies (``ARM-SEED``) and their listing, with SHA-256 and provenance; old ones go."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for old in folder.glob("*/policy.npz"):
-        shutil.rmtree(old.parent)
-    write_model(model, folder / "model.json")
-    write_ranges(ranges, folder / "ranges.json")
-    for agent in agents:
-        write_whole(folder / agent.name / "policy.npz", npz(policy_in(agent)))
-    names = ["model.json", "ranges.json", *(f"{agent.name}/policy.npz" for agent in agents)]
-    files = {name: sha256_of(folder / name) for name in names}
-    content = {"plan": plan.content(), "files": files, "provenance": note}
-    return write_json(folder / LISTING, content)

@@ -22,11 +22,11 @@ from sim2real.diagnose.result import Diagnosis, NamedEffect, Rival, percent
 from sim2real.inference.segments import Window
 from sim2real.model import Model
 from sim2real.recording import Recording
+from sim2real.report.diagnosis import effect_tables, told
 from sim2real.report.page import Block, Note, Section, Table, Text
 from sim2real.report.quantity import change_text
 from sim2real.report.series import Panel, series_block
 from sim2real.robot import Robot
-from sim2real.units import readable, readable_name
 from sim2real.viewers.scenes import MEASURED, POSE, Scene, SignalGroup, recorded
 
 _LEAD = "Which physics of the body or the camera does the simulator leave out of these swims?"
@@ -90,22 +90,9 @@ def swims_section(
     good = diagnosis.verdict in ("consistent", "explained")
     blocks: list[Block] = [Note("good" if good else "info", _SENTENCES[diagnosis.verdict])]
     least = LAW_ERROR.decisions["likely"]
-    rows = [
-        (
-            e.statement,
-            percent(e.probability),
-            "; ".join(
-                f"{readable_name(name)} {readable(name, x.mean)} "
-                f"({readable(name, x.q05)} to {readable(name, x.q95)})"
-                for name, x in e.parameters.items()
-            ),
-        )
-        for e in diagnosis.effects
-        if e.probability >= least
-    ]
-    if rows:
-        header = ("what is missing", "probability", "parameters with 90 % intervals")
-        blocks.append(Table(header, rows))
+    likely = tuple(effect for effect in diagnosis.effects if effect.probability >= least)
+    blocks += [Note("info", told(effect)) for effect in likely]
+    blocks += effect_tables(replace(diagnosis, effects=likely))
     plain, enriched = (
         {name: float(e["heldout"] or 0.0) for name, e in fit.items()}
         for fit in (diagnosis.baseline_fit, diagnosis.enriched_fit)
@@ -135,7 +122,7 @@ def swims_section(
             blocks.append(series_block(panels, f"{swim.name}: measured and simulated", caption))
     if diagnosis.next_experiment is not None:
         blocks.append(Text(diagnosis.next_experiment.statement, heading="What to record next"))
-    unlikely = [e for e in diagnosis.effects if e.probability < least]
+    unlikely = [effect for effect in diagnosis.effects if effect not in likely]
     considered: list[NamedEffect | Rival] = [*unlikely, *diagnosis.rivals]
     others = [(e.effect, e.component, percent(e.probability)) for e in considered]
     if others:

@@ -10,10 +10,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from sim2real.arrays import Array
 from sim2real.inference.normal import SD_PER_MEDIAN
+from sim2real.inference.segments import runs
+from sim2real.noise import divided_differences
 from sim2real.readings import wrong_readings
 from sim2real.servo.trace import Trace, sensor_noise
 
@@ -59,9 +60,8 @@ def without_releases(
     away = simulated - angle
     speed = np.gradient(angle, trace.t)
     lost = (np.abs(away) > least_rad) & (speed * np.sign(away) < towards_rad_s)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]])))
     used = trace.used.copy()
-    for first, last in edges.reshape(-1, 2):
+    for first, last in runs(lost):
         if trace.t[last - 1] - trace.t[first] < shortest_s:
             continue
         back = np.flatnonzero((np.abs(away) < least_rad) & (trace.t > trace.t[last - 1]))
@@ -156,10 +156,5 @@ def _differences(trace: Trace, order: int) -> tuple[Array, Array]:
     t, angle = trace.t[trace.used], trace.position[trace.used]
     if t.size <= order:
         return np.zeros(0), np.zeros(0)
-    times, angles = (sliding_window_view(x, order + 1) for x in (t, angle))
-    unit = times[:, 1:2] - times[:, :1]
-    gaps = [(times[:, k : k + 1] - np.delete(times, k, axis=1)) / unit for k in range(order + 1)]
-    weight = 1 / np.stack([gap.prod(axis=1) for gap in gaps], axis=1)
-    weight /= np.linalg.norm(weight, axis=1, keepdims=True)
-    speed = np.abs(angles[:, -1] - angles[:, 0]) / (times[:, -1] - times[:, 0])
-    return np.sum(weight * (angles - angles[:, :1]), axis=1), speed
+    speed = np.abs(angle[order:] - angle[:-order]) / (t[order:] - t[:-order])
+    return divided_differences(t, angle, order), speed

@@ -6,9 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim2real.arrays import Array, Mask
+from sim2real.arrays import Array, Index, Mask
 
 Window = tuple[float, float]
 
@@ -71,9 +70,13 @@ def windows(t: Array, residual: Array, sd: float) -> tuple[Window, ...]:
     """
     z2 = np.where(np.isfinite(residual), (residual / sd) ** 2, 0.0)
     score = 0.5 * z2 * (1 - LARGER**-2) - np.log(LARGER)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], _most_likely_path(score), [0]])))
-    segments = [(float(t[a]), float(t[b - 1])) for a, b in edges.reshape(-1, 2)]
+    segments = [(float(t[a]), float(t[b - 1])) for a, b in runs(_most_likely_path(score))]
     return tuple((a, b) for a, b in segments if b - a >= SHORTEST_S)
+
+
+def runs(mask: Mask) -> Index:
+    """First index of every run of True in a mask (T,), and that after its last, shape (N, 2)."""
+    return np.flatnonzero(np.diff(np.r_[False, mask, False].astype(np.int8))).reshape(-1, 2)
 
 
 def inside(t: Array, windows: tuple[Window, ...]) -> Mask:
@@ -84,16 +87,16 @@ def inside(t: Array, windows: tuple[Window, ...]) -> Mask:
     return mask
 
 
-def _most_likely_path(score: Array) -> NDArray[np.int8]:
-    """Most likely states, 1 for loud and 0 for quiet, from their log-likelihood ratios (T,)."""
+def _most_likely_path(score: Array) -> Mask:
+    """Whether the most likely state is the loud one, from log-likelihood ratios (T,)."""
     quiet, loud = 0.0, -EDGE_COST
     from_loud, from_quiet = (np.zeros(score.size, dtype=bool) for _ in range(2))
     for k, x in enumerate(score.tolist()):
         from_loud[k] = loud - EDGE_COST > quiet
         from_quiet[k] = quiet - EDGE_COST > loud
         quiet, loud = max(quiet, loud - EDGE_COST), max(loud, quiet - EDGE_COST) + x
-    state, path = int(loud - EDGE_COST > quiet), np.zeros(score.size, dtype=np.int8)
+    state, path = loud - EDGE_COST > quiet, np.zeros(score.size, dtype=bool)
     for k in range(score.size - 1, -1, -1):
         path[k] = state
-        state = int(not from_quiet[k]) if state else int(from_loud[k])
+        state = not from_quiet[k] if state else from_loud[k]
     return path

@@ -20,7 +20,7 @@ from sim2real.posterior.chain import require
 from sim2real.posterior.predictive_check import PredictiveCheck, predictive_check
 from sim2real.posterior.servo import STEPS, WALKERS, ServoPosterior, sample_servo
 from sim2real.ranges.entry import Range, Ranges, normal, uniform
-from sim2real.ranges.latency import Latencies, Spread, latencies, spread
+from sim2real.ranges.latency import Latencies, latencies
 from sim2real.ranges.population import TypeParameter
 from sim2real.ranges.sources import (
     body_ranges,
@@ -52,8 +52,8 @@ class Gathered(NotebookDisplay):
         ranges: The ranges.
         posteriors: Posterior of each sampled joint.
         checks: Posterior predictive check of each joint on the held-out recording, if there is one.
-        latencies: Latency fitted to each recording or window; None if no joint moves.
-        spread: Distribution of the latencies; None if no joint moves.
+        latencies: Latency fitted to each recording or window, and their distribution; None if no
+            joint moves.
         density: Normalised density of the links, if they state mass and length.
         population: Parameters of a type of servo, if the ranges are of one.
     """
@@ -62,7 +62,6 @@ class Gathered(NotebookDisplay):
     posteriors: Mapping[str, ServoPosterior] = field(default_factory=dict)
     checks: Mapping[str, PredictiveCheck] = field(default_factory=dict)
     latencies: Latencies | None = None
-    spread: Spread | None = None
     density: Density | None = None
     population: tuple[TypeParameter, ...] = ()
 
@@ -72,8 +71,8 @@ class Gathered(NotebookDisplay):
         Raises:
             InputError: If there is neither.
         """
-        if self.latencies is not None and self.spread is not None:
-            figure: Figure = from_report("ranges.latency_figure")(self.latencies, self.spread)
+        if self.latencies is not None:
+            figure: Figure = from_report("ranges.latency_figure")(self.latencies)
             return figure
         if self.population:
             drawn: Figure = from_report("ranges.population_figure")(self.population)
@@ -114,10 +113,9 @@ def gather(
     bench = [recording for recording in recordings if recording.kind == "servo"]
     posteriors, checks = sample_joints(bench, robot, model, sampling)
     fits = latencies(recordings, model)
-    scatter = spread(fits.seconds, fits.sd) if fits is not None else None
     density = normalised_density(robot) if robot.weighed else None
     labels = labelled(recordings)
-    entries = _latency_ranges(fits, scatter, model)
+    entries = _latency_ranges(fits, model)
     entries += camera_noise(recordings)
     noise = {joint: joint_noise(recordings, joint) for joint in model.joints}
     entries += [noise_range for noise_range in noise.values() if noise_range is not None]
@@ -133,11 +131,11 @@ def gather(
         without_range += missing
     entries += density_ranges(density) if density is not None else []
     entries += body_ranges(model) + shared_ranges(model)
-    notes = _notes(recordings, posteriors, checks, fits, scatter, noise)
+    notes = _notes(recordings, posteriors, checks, fits, noise)
     ranges = Ranges(
         tuple(entries), notes=(*warnings, *notes, *without_range), interval_level=sampling.level
     )
-    return Gathered(ranges, posteriors, checks, fits, scatter, density)
+    return Gathered(ranges, posteriors, checks, fits, density)
 
 
 def sample_joints(
@@ -177,9 +175,9 @@ def sample_joints(
     return posteriors, checks
 
 
-def _latency_ranges(fits: Latencies | None, scatter: Spread | None, model: Model) -> list[Range]:
+def _latency_ranges(fits: Latencies | None, model: Model) -> list[Range]:
     """The latency of all joints, and offsets of single joints if they differ significantly."""
-    if fits is None or scatter is None:
+    if fits is None:
         ends = [
             joint.interval.get("latency_s", (joint.latency_s,) * 2)
             for joint in model.joints.values()
@@ -188,9 +186,10 @@ def _latency_ranges(fits: Latencies | None, scatter: Spread | None, model: Model
         values += [joint.latency_s for joint in model.joints.values()]
         source = "the model: intervals of all joints; no recording shows a latency"
         return [uniform("command_latency_s", min(values), max(values), "s", source)]
-    low, high = max(scatter.centre - scatter.half_width, 0.0), scatter.centre + scatter.half_width
+    centre, half_width = fits.spread.centre, fits.spread.half_width
+    low, high = max(centre - half_width, 0.0), centre + half_width
     what = "windows" if fits.windows else "recordings"
-    ends_ms = " to ".join(f"{1e3 * end:.2g}" for end in scatter.half_width_90)
+    ends_ms = " to ".join(f"{1e3 * end:.2g}" for end in fits.spread.half_width_90)
     source = (
         f"latency fitted to each of {len(fits.episodes)} {what}: medians of the posterior of the "
         f"uniform distribution behind them; 90 % interval of its half-width {ends_ms} ms"
@@ -210,7 +209,6 @@ def _notes(
     posteriors: Mapping[str, ServoPosterior],
     checks: Mapping[str, PredictiveCheck],
     fits: Latencies | None,
-    scatter: Spread | None,
     noise: Mapping[str, Range | None],
 ) -> tuple[str, ...]:
     """Notes on the limitations of these ranges."""
@@ -244,7 +242,7 @@ def _notes(
         )
     if fits is not None and fits.dropped:
         notes.append(f"{fits.dropped} fits of latency were too uncertain and are not used")
-    if scatter is not None and posteriors and scatter.half_width_90[0] > 1e-3:
+    if fits is not None and posteriors and fits.spread.half_width_90[0] > 1e-3:
         notes.append(
             "latency varies between these recordings, but the gains were sampled with a constant "
             "latency: their ranges may be biased"

@@ -111,6 +111,7 @@ class Latencies:
     offset: Mapping[str, tuple[float, float]]
     windows: bool  # whether episodes are windows
     dropped: int  # number of fits that were too uncertain to be used
+    spread: Spread  # distribution of the latencies
 
 
 def latencies(
@@ -186,4 +187,5 @@ def _combined(
     residual = float(np.sum((matrix @ answer - target) ** 2))
     inflated = np.sqrt(np.diag(covariance) * max(residual / freedom if freedom > 0 else 1.0, 1.0))
     offset = {j: (float(answer[E + k]), float(inflated[E + k])) for k, j in enumerate(joints)}
-    return Latencies(episodes, answer[:E], inflated[:E], offset, windows, dropped)
+    common, sd = answer[:E], inflated[:E]
+    return Latencies(episodes, common, sd, offset, windows, dropped, spread(common, sd))

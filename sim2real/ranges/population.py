@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -85,7 +85,7 @@ def population(
         names = [name for servo in servos for name in (*_values(servo), *servo.interval)]
         for name in dict.fromkeys(names):
             unit = unit_of(name, per_inertia=servos[0].per_inertia)
-            rows = [_row(name, *one, joint, gain) for one in models if _states(name, *one, joint)]
+            rows = list(_rows(name, models, joint, gain))
             known = [row for row in rows if row.determined]
             if len(known) > 1:
                 parameters.append(_type_parameter(f"{joint}.{name}", unit, known, level))
@@ -126,21 +126,20 @@ def _values(servo: JointModel) -> dict[str, float]:
     return {**parameters_of(servo), _LATENCY: servo.latency_s}
 
 
-def _row(name: str, unit: str, model: Model, joint: str, gain: float | None) -> _Row:
-    """A parameter of a model that states it, kp at the firmware gain ``gain``."""
-    servo = model.joints[joint]
-    ratio = gain / model.firmware_p_gain if gain and model.firmware_p_gain else 1.0
-    ratio = ratio if name == GAINS[0] else 1.0
-    value = _values(servo).get(name, 0.0)  # a loss of 0 has an interval only
-    low, high = servo.interval.get(name, (value, value))
-    halves = float(ndtri(0.5 + model.interval_level / 2))
-    ends = (ratio * min(low, value), ratio * max(high, value))
-    return _Row(unit, ratio * value, ends, halves, name in servo.by_prior)
-
-
-def _states(name: str, _: str, model: Model, joint: str) -> bool:
-    servo = model.joints[joint]
-    return name in servo.interval or name in _values(servo)
+def _rows(
+    name: str, models: Sequence[tuple[str, Model]], joint: str, gain: float | None
+) -> Iterator[_Row]:
+    """A parameter of the models that state it, kp at the firmware gain ``gain``."""
+    for unit, model in models:
+        servo, halves = model.joints[joint], float(ndtri(0.5 + model.interval_level / 2))
+        value = _values(servo).get(name, 0.0)  # a loss of 0 has an interval only
+        ratio = 1.0
+        if name == GAINS[0] and gain and model.firmware_p_gain:
+            ratio = gain / model.firmware_p_gain
+        low, high = servo.interval.get(name, (value, value))
+        ends = (ratio * min(low, value), ratio * max(high, value))
+        if name in servo.interval or name in _values(servo):
+            yield _Row(unit, ratio * value, ends, halves, name in servo.by_prior)
 
 
 def _type_parameter(name: str, unit: str, rows: Sequence[_Row], level: float) -> TypeParameter:

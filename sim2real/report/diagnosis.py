@@ -96,7 +96,7 @@ def diagnosis_section(diagnosis: Diagnosis) -> Section:
     blocks += [Note("warn", sentence) for sentence in diagnosis.warnings]
     if diagnosis.unfinished:
         blocks.append(Note("warn", diagnosis.search_ended))
-    blocks += [Note("info", _told(effect)) for effect in diagnosis.effects]
+    blocks += [Note("info", told(effect)) for effect in diagnosis.effects]
     for mismatch in diagnosis.mismatch:
         blocks += _where(diagnosis, mismatch)
     blocks += _sound(diagnosis)
@@ -137,12 +137,13 @@ def _remains(diagnosis: Diagnosis, mismatch: Mismatch) -> str:
     return f"The {what} the error of {joint} from {before} to {remaining}, {times} ({noise})."
 
 
-def _told(effect: NamedEffect) -> str:
+def told(effect: NamedEffect) -> str:
+    """The statement of an effect, its alternatives and its probability."""
     chance = sure(effect.probability).capitalize()
     if len(effect.group) < 2:
         return f"{effect.statement} {chance} sure."
     sentences = [effect.statement]
-    if "cannot tell" not in effect.statement:
+    if not any(words in effect.statement for words in ("cannot tell", "not distinguish")):
         name, *alternatives = map(plain, effect.group)
         sentences.append(f"These recordings cannot tell {name} from {listed(alternatives, 'or')}.")
     return " ".join([*sentences, f"{chance} sure that it is one of them."])

@@ -29,6 +29,8 @@ from sim2real.robot import Density, Robot
 from sim2real.servo.prediction import Prediction
 from sim2real.servo_library.catalogue import ServoEntry, ServoLibrary
 
+_RANGES = "Randomization ranges"
+
 
 def result_html(result: object) -> str:
     """A result as an HTML fragment for a notebook; it needs Jinja."""
@@ -52,11 +54,9 @@ result_section.register(Design)(lambda design: design_section(design, plots=Fals
 result_section.register(Recording)(recording_section)
 result_section.register(RivalDesign)(rivals_section)
 result_section.register(ServoLibrary)(lambda library: servos_section(list(library)))
-
-
-@result_section.register
-def _model(model: Model) -> Section:
-    return Section("Model", "", model_blocks(model))
+result_section.register(Model)(lambda model: Section("Model", "", model_blocks(model)))
+result_section.register(Ranges)(lambda ranges: Section(_RANGES, "", range_blocks(ranges)))
+result_section.register(Gathered)(lambda found: Section(_RANGES, "", gathered_blocks(found)))
 
 
 @result_section.register
@@ -78,16 +78,6 @@ def _diagnosis(diagnosis: Diagnosis) -> Section:
 def _posterior(posterior: Posteriors) -> Section:
     tables = [posterior_table(joint, servo) for joint, servo in posterior.joints.items()]
     return Section("Posterior", "" if tables else "no joint moved on the bench", tables)
-
-
-@result_section.register
-def _ranges(ranges: Ranges) -> Section:
-    return Section("Randomization ranges", "", range_blocks(ranges))
-
-
-@result_section.register
-def _gathered(gathered: Gathered) -> Section:
-    return Section("Randomization ranges", "", gathered_blocks(gathered))
 
 
 @result_section.register

@@ -13,7 +13,7 @@ from sim2real.posterior.predictive_check import LEVELS, PredictiveCheck
 from sim2real.posterior.servo import ServoPosterior
 from sim2real.ranges.entry import Ranges
 from sim2real.ranges.gather import Gathered
-from sim2real.ranges.latency import Latencies, Spread
+from sim2real.ranges.latency import Latencies
 from sim2real.ranges.population import TypeParameter
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Figure, Note, Section, Table, Text
@@ -152,10 +152,10 @@ def ranges_section(gathered: Gathered) -> Section:
         blocks.append(Figure(svg(population_figure(gathered.population)), _BY_UNIT))
     if gathered.ranges.posterior:
         blocks.append(Text(_SAMPLES.format(file=gathered.ranges.posterior)))
-    if gathered.latencies is not None and gathered.spread is not None:
-        drawn = latency_figure(gathered.latencies, gathered.spread)
+    if gathered.latencies is not None:
         what = "window" if gathered.latencies.windows else "recording"
-        blocks.append(Figure(svg(drawn), _LATENCY.format(what=what)))
+        drawn = svg(latency_figure(gathered.latencies))
+        blocks.append(Figure(drawn, _LATENCY.format(what=what)))
     if gathered.density is not None:
         whiskers = "" if gathered.density.sd is None else "; whiskers are 90 % intervals"
         caption = _DENSITY.format(whiskers=whiskers)
@@ -261,11 +261,11 @@ def density_figure(density: Density) -> Drawing:
     return figure
 
 
-def latency_figure(latencies: Latencies, drawn: Spread) -> Drawing:
+def latency_figure(latencies: Latencies) -> Drawing:
     """Plot the latency of each episode with two standard errors, and the range."""
     with house_style():
         figure = new_figure(230, "latency of the commands by episode")
-        axes = figure.subplots()
+        axes, drawn = figure.subplots(), latencies.spread
         low, high = (1e3 * (drawn.centre + s * drawn.half_width) for s in (-1, 1))
         axes.axhspan(low, high, color=ACCENT, alpha=0.16, linewidth=0)
         number = np.arange(1, latencies.seconds.size + 1)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sim2real.arrays import Array, Index, Mask
+from sim2real.inference.segments import runs
 from sim2real.recording import Recording
 from sim2real.report.drawing import svg
 from sim2real.report.page import Figure
@@ -125,8 +126,8 @@ def fit_panels(
 ) -> tuple[list[Panel], list[Panel]]:
     """Panels of a joint's prediction (T,) in rad, and a close-up of 1.5 s at the largest move."""
     position, *residual = fit_groups(recording, joint, predicted)
-    t, shaded = recording.t, [] if heldout is None else segments(heldout)
-    spans = [(float(t[first]), float(t[last])) for first, last in shaded]
+    t, shaded = recording.t, () if heldout is None else runs(heldout)
+    spans = [(float(t[first]), float(t[after - 1])) for first, after in shaded]
     band = None if noise_rad is None else 2e3 * noise_rad
     title = "measured − predicted, mrad" + ("" if band is None else "; band: ± 2 × noise")
     panels = [Panel(position, "rad; shaded: held out for the error" if spans else "rad", spans)]
@@ -198,13 +199,6 @@ def isolated_samples(values: Array) -> Mask:
     missing = np.concatenate([[True], np.isnan(values), [True]])
     isolated: Mask = ~missing[1:-1] & missing[:-2] & missing[2:]
     return isolated
-
-
-def segments(mask: Mask) -> list[tuple[int, int]]:
-    """First and last index of every run of True in ``mask (T,)``."""
-    edges = np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))
-    starts, stops = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    return [(int(a), int(b) - 1) for a, b in zip(starts, stops, strict=True)]
 
 
 def largest_move(t: Array, signals: Mapping[str, Array]) -> float:

@@ -18,7 +18,10 @@ DENSITY = SimpleNamespace(
     links=("head", "body1", "body2", "tail"), length_m=np.full(4, 0.1), value=LINKS,
     interval=LINKS + 0.03 * np.array([[-1], [1]]),
 )  # fmt: skip
-LATENCIES = SimpleNamespace(seconds=np.full(7, 0.07), sd=np.full(7, 0.01), windows=True)
+SPREAD = SimpleNamespace(centre=0.07, half_width=0.02)
+LATENCIES = SimpleNamespace(
+    seconds=np.full(7, 0.07), sd=np.full(7, 0.01), windows=True, spread=SPREAD
+)
 
 
 def _fit(bench):
@@ -38,9 +41,7 @@ FIGURES = {
     "fit": _fit,
     "parameters": lambda bench: parameter_figure(bench.model),
     "density": lambda bench: density_figure(DENSITY),
-    "latency": lambda bench: latency_figure(
-        LATENCIES, SimpleNamespace(centre=0.07, half_width=0.02)
-    ),
+    "latency": lambda bench: latency_figure(LATENCIES),
     "bars": lambda bench: bar_figure([(0.98, "j1: one of backlash or play", True)]),
     "returns": lambda bench: _returns(),
 }

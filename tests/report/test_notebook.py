@@ -118,7 +118,7 @@ def results(recording, tmp_path):
         "density": (density, [EVIL, "0.750", "1.250"]),
         "posterior": (posterior_of(EVIL), [EVIL, "0.0200", "0.0100 to 0.0300", "1.62"]),
         "ranges": (ranges, ["latency_s", "0.01 to 0.03 s", EVIL, "1 ± 0.5"]),
-        "gathered": (Gathered(ranges, {}, {}, None, None, None), ["0.01 to 0.03 s", EVIL]),
+        "gathered": (Gathered(ranges), ["0.01 to 0.03 s", EVIL]),
         "prediction": (
             Prediction((recording,), (recording.command + 0.002,)),
             ["steps", EVIL, "2.0 mrad"],

@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from sim2real.inference.segments import runs
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording
 from sim2real.report.drawing import svg
@@ -20,7 +21,6 @@ from sim2real.report.series import (
     gaps,
     isolated_samples,
     largest_move,
-    segments,
     series_figure,
     timing_panel,
 )
@@ -177,7 +177,7 @@ def test_series_helpers():
     assert gaps(t).tolist() == [3]
     alone = isolated_samples(np.array([1.0, np.nan, 1.0, 1.0, np.nan, 1.0]))
     assert np.flatnonzero(alone).tolist() == [0, 5]
-    assert segments(np.array([True, True, False, True])) == [(0, 1), (3, 3)]
+    assert runs(np.array([True, True, False, True])).tolist() == [[0, 2], [3, 4]]
 
 
 def test_largest_move_is_found_where_it_was_measured():

@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.demo_agents import write_pretrained
 from rl.commands import demo_pool
 from rl.commands.demo_pool import PRETRAINED, agents_in
 from rl.deploy.export import read_zip
-from rl.experiments.ablation import LISTING, PAPER, policy_in, read_pretrained, write_pretrained
+from rl.experiments.ablation import LISTING, PAPER, policy_in, read_pretrained
 from sim2real.errors import InputError
-from sim2real.model import read_model
-from sim2real.ranges.entry import read_ranges
 
 POOL = Path(__file__).resolve().parents[2] / "datasets" / "pool"
 
@@ -22,7 +21,7 @@ POOL = Path(__file__).resolve().parents[2] / "datasets" / "pool"
 @pytest.fixture
 def kept(tmp_path):
     """Two agents of one arm, kept as trained ones are; and the plan."""
-    model, ranges = read_model(POOL / "calibrated.json"), read_ranges(POOL / "ranges.json")
+    files = {"model.json": POOL / "calibrated.json", "ranges.json": POOL / "ranges.json"}
     plan = replace(demo_pool.QUICK, seeds=(0, 1))
     folders = []
     for seed, policy in enumerate(agents_in(POOL)):
@@ -30,7 +29,7 @@ def kept(tmp_path):
         folders[-1].mkdir(parents=True)
         shutil.copy(policy, folders[-1] / "policy.zip")
     made = {"command": "a test", "seed": None}
-    write_pretrained(tmp_path / "kept", folders, plan, model, ranges, made)
+    write_pretrained(tmp_path / "kept", folders, plan, files, made)
     return tmp_path / "kept", plan
 
 
