@@ -136,13 +136,13 @@ def investigate(
             joints[j] = with_own_latency(batch, joints[j], findings[j].best)
             joints[j] = with_slow_errors(joints[j], findings[j].best)
         some, before = [joints[j] for j in again], [findings[j].tried for j in again]
-        free = batch_of(some, batch.device, period=batch.period, bounded=False)
+        free = batch_of(some, period=batch.period, bounded=False)
         for j, finding in zip(again, _findings(free, some, before, rng, again=True), strict=True):
             own = replace(placed(finding.tried, j), case=finding.tried.case)
             mismatch = finding.mismatch or findings[j].mismatch
             best = own.tried[finding.best.members]
             findings[j] = replace(finding, tried=own, best=best, mismatch=mismatch)
-    batch = batch_of(joints, batch.device, period=batch.period)
+    batch = batch_of(joints, period=batch.period)
     findings, alone = _with_link(batch, joints, range(len(joints)), findings)
     for j in alone:  # where not all joints show it, one's own controller may be slow
         findings, _ = _with_link(batch, joints, [j], findings, DECISION.controller_wait_s)

@@ -163,8 +163,8 @@ class Simulator:
         self._factor, self._offset = trace_contexts(traces)
         if add_loads:
             self._factor[:, _LOAD] = 1.0
-        self._signals = [to_warp(x, "cpu") for x in signals]
-        self.position, self.length = to_warp(position, "cpu"), self._signals[2]
+        self._signals = [to_warp(x) for x in signals]
+        self.position, self.length = to_warp(position), self._signals[2]
         self._pool = workers(threads)
 
     def is_linear(self, theta: Array) -> bool:
@@ -215,9 +215,9 @@ class Simulator:
         signal = np.tile(np.arange(S, dtype=np.int32), theta.shape[0])
         T = self._signals[0].shape[1]
         angle: Any = wp.empty((len(rows), T), dtype=wp.float64, device="cpu")
-        servos = to_warp(rows, "cpu")
+        servos = to_warp(rows)
         if exact:
-            inputs = [servos, to_warp(signal, "cpu"), *self._signals[:3]]
+            inputs = [servos, to_warp(signal), *self._signals[:3]]
             wp.launch(solve_servos, dim=len(rows), inputs=inputs, outputs=[angle], device="cpu")
         else:
             longest = np.repeat(np.broadcast_to(substep_s, len(theta)), S)
@@ -251,29 +251,32 @@ def simulate(
     out: Any,  # noqa: ANN401
     rows: Index | None = None,
 ) -> None:
-    """Launch N rollouts; on the CPU, those without effects and with the same events in pairs.
+    """Launch N rollouts; those without effects and with the same events in pairs.
 
     Of each, (N,): its ``active_effects``, latency in s, index in ``signals``, the Warp arrays of
     ``padded``, and ``longest`` sub-step in s. Parameters are a Warp array (N, P), the angles in rad
     are written to ``out`` (N, T). ``rows`` (M,) are those to simulate; all by default.
     """
-    N, device = signal.size, str(out.device)
-    effects = bool(np.any(active & ~MOTOR_BIT))
-    pairs = device == "cpu" and not effects
+    N, effects = signal.size, bool(np.any(active & ~MOTOR_BIT))
+    pairs = not effects
     order = np.arange(N) if rows is None else rows
     if pairs:
         order = order[np.lexsort((latency[order], longest[order], signal[order]))]
-    memory = wp.zeros((N, CELLS), dtype=wp.float64, device=device)
-    mask = wp.from_numpy(np.ascontiguousarray(active), dtype=wp.int64, device=device)
+    mask = wp.from_numpy(np.ascontiguousarray(active), dtype=wp.int64, device="cpu")
     rows_at_once, launches = (order.size, 1) if pairs else (1, order.size)
-    places = [to_warp(x, device) for x in (signal, order.astype(np.int32))]
-    inputs = [theta, mask, memory, *places, rows_at_once, *signals, to_warp(longest, device)]
-    wp.launch(KERNELS[effects, pairs], launches, inputs, [out], device=device)
+    places = [to_warp(x) for x in (signal, order.astype(np.int32))]
+    inputs = [theta, mask, zeros((N, CELLS)), *places, rows_at_once, *signals, to_warp(longest)]
+    wp.launch(KERNELS[effects, pairs], launches, inputs, [out], device="cpu")
 
 
-def to_warp(values: NDArray[Any], device: str) -> Any:  # noqa: ANN401 - Warp has no stubs
-    """A copy as a Warp array of int32 or float64 on a device."""
+def to_warp(values: NDArray[Any]) -> Any:  # noqa: ANN401 - Warp has no stubs
+    """A copy as a Warp array of int32 or float64."""
     integers = values.dtype == np.int32
     copied = np.array(values, dtype=np.int32 if integers else np.float64, order="C")
     kind = wp.int32 if integers else wp.float64
-    return wp.array(copied, dtype=kind, device=device, copy=False)  # Warp's own copy costs more
+    return wp.array(copied, dtype=kind, device="cpu", copy=False)  # Warp's own copy costs more
+
+
+def zeros(shape: tuple[int, ...], dtype: type = wp.float64) -> Any:  # noqa: ANN401
+    """A Warp array of zeros."""
+    return wp.zeros(shape, dtype=dtype, device="cpu")
