@@ -39,19 +39,14 @@ class SameSteps(ServoProblem):
         return Simulator(self.traces, add_loads=True)
 
     @cached_property
-    def exact(self) -> bool:
-        """Never: what a solution in closed form differs by is no change."""
-        return False
-
-    @cached_property
     def _usual(self) -> float:
         """Sub-step of the servo itself; a sensor's filter may be shorter than a sample."""
         longest = min(LONGEST_SUBSTEP_S, min(trace.period_s for trace in self.traces) / 8)
-        return float(self.simulator.substeps(self.row[None], longest_s=longest, exact=False)[0])
+        return float(self.simulator.substeps(self.row[None], longest_s=longest)[0])
 
     def substeps(self, rows: Array, *, rough: bool = False) -> Array:
         """That of the servo itself, shorter where servos (B, P) are faster, s, (B,)."""
-        return np.minimum(self.simulator.substeps(rows, exact=False), self._usual)
+        return np.minimum(self.simulator.substeps(rows), self._usual)
 
 
 @dataclass(frozen=True)

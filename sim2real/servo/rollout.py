@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sim2real.arrays import Array, Index, Integers
 from sim2real.effects import CATALOGUE
 from sim2real.recording import Load, VaryingLoad
-from sim2real.servo.kernel import KERNELS, solve_servos
+from sim2real.servo.kernel import KERNELS
 from sim2real.servo.motor import MOTOR_BIT
 from sim2real.servo.parameters import (
     BASE,
@@ -167,25 +167,13 @@ class Simulator:
         self.position, self.length = to_warp(position), self._signals[2]
         self._pool = workers(threads)
 
-    def is_linear(self, theta: Array) -> bool:
-        """Whether servos (B, P) have an exact solution: no effect, no pendulum, constant load."""
-        constant = all(trace.varying is None for trace in self.traces)
-        return constant and not theta[:, len(BASE) :].any() and not self._load[:, 1].any()
-
     def substeps(
         self,
         theta: Array,
         steps_per_radian: float = STEPS_PER_RADIAN,
         longest_s: float = LONGEST_SUBSTEP_S,
-        *,
-        exact: bool | None = None,
     ) -> Array:
-        """Sub-step in s for each of the servos (B, P), shape (B,), infinite for exact solutions.
-
-        ``exact``: whether to solve exactly; by default if all servos are linear.
-        """
-        if self.is_linear(theta) if exact is None else exact:
-            return np.full(len(theta), np.inf)
+        """Sub-step in s for each of the servos (B, P), shape (B,)."""
         inertia = self._load[:, 0, None]
         least: Array = longest_substep(theta, inertia, steps_per_radian, longest_s).min(axis=0)
         return least
@@ -193,7 +181,7 @@ class Simulator:
     def angles(self, theta: Array, substep_s: float | Array) -> list[Array]:
         """Angles in rad of servos (B, P) with the load of each recording, one array (B, T) each.
 
-        ``substep_s``: longest sub-step, a number or (B,); if it is infinite, all must be linear.
+        ``substep_s``: longest sub-step, a number or (B,).
         """
         substeps = np.broadcast_to(substep_s, len(theta))
         S = len(self.traces)
@@ -207,23 +195,14 @@ class Simulator:
 
     def run(self, theta: Array, substep_s: float | Array) -> Any:  # noqa: ANN401 - Warp has no stubs
         """Angles as a Warp array (B * S, T), one row per servo and recording, see ``angles``."""
-        exact = bool(np.isinf(substep_s).all())
-        if exact and not self.is_linear(theta):
-            raise ValueError("no exact solution with effects, a pendulum or a varying load")
         S = len(self.traces)
         rows = (theta[:, None] * self._factor + self._offset).reshape(-1, theta.shape[1])
         signal = np.tile(np.arange(S, dtype=np.int32), theta.shape[0])
         T = self._signals[0].shape[1]
         angle: Any = wp.empty((len(rows), T), dtype=wp.float64, device="cpu")
         servos = to_warp(rows)
-        if exact:
-            inputs = [servos, to_warp(signal), *self._signals[:3]]
-            wp.launch(solve_servos, dim=len(rows), inputs=inputs, outputs=[angle], device="cpu")
-        else:
-            longest = np.repeat(np.broadcast_to(substep_s, len(theta)), S)
-            simulate(
-                active_effects(rows), rows[:, 2], servos, signal, self._signals, longest, angle
-            )
+        longest = np.repeat(np.broadcast_to(substep_s, len(theta)), S)
+        simulate(active_effects(rows), rows[:, 2], servos, signal, self._signals, longest, angle)
         return angle
 
 
