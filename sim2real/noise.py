@@ -111,20 +111,23 @@ def difference_noise(t: Array, position: Array) -> float:
         return 0.0
     estimates = []
     for order in range(2, 6):
-        times, angles = (sliding_window_view(x, order + 1) for x in (t, position))
-        unit = times[:, 1:2] - times[:, :1]
-        gaps = [
-            (times[:, k : k + 1] - np.delete(times, k, axis=1)) / unit for k in range(order + 1)
-        ]
-        weight = 1 / np.stack([gap.prod(axis=1) for gap in gaps], axis=1)
-        weight /= np.linalg.norm(weight, axis=1, keepdims=True)
-        square = np.sum(weight * (angles - angles[:, :1]), axis=1) ** 2
+        square = divided_differences(t, position, order) ** 2
         size = min(_MOVING_BLOCK, square.size)
         blocks = square[: square.size // size * size].reshape(-1, size).mean(axis=1)
         # Neighbouring differences share samples, which reduces the degrees of freedom.
         free = size * comb(2 * order, order) ** 2 / comb(4 * order, 2 * order)
         estimates.append(_quietest(blocks, free))
     return float(np.sqrt(min(estimates)))
+
+
+def divided_differences(t: Array, position: Array, order: int) -> Array:
+    """Divided differences of neighbouring samples (T,), with weights of unit norm, (T - order,)."""
+    times, angles = (sliding_window_view(x, order + 1) for x in (t, position))
+    unit = times[:, 1:2] - times[:, :1]
+    gaps = [(times[:, k : k + 1] - np.delete(times, k, axis=1)) / unit for k in range(order + 1)]
+    weight = 1 / np.stack([gap.prod(axis=1) for gap in gaps], axis=1)
+    weight /= np.linalg.norm(weight, axis=1, keepdims=True)
+    return np.asarray(np.sum(weight * (angles - angles[:, :1]), axis=1))
 
 
 def _quiet_blocks(t: Array, command: Array, position: Array, step: float) -> tuple[Array, Array]:

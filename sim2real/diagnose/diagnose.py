@@ -282,10 +282,7 @@ def _robust(
     owners = [COLUMNS[c].partition(".")[0] for c in servos.columns[0]]
     fixed = [owner in {e.name for e in NUISANCES} for owner in owners]
     columns = np.where(fixed, -1, servos.columns).astype(np.int32)
-    order = np.argsort(columns[0] < 0, kind="stable")
-    unit, low, high = (x[:, order] for x in (servos.unit, servos.low, servos.high))
-    none = np.zeros(1, dtype=np.int32)
-    start = Servos(none, servos.theta, columns[:, order], unit, low, high)
+    start = replace(servos, columns=columns).of_joints([0])
     traces = [replace(trace, spread=trace.error_ratio, slow=None) for trace in traces]
     frictions = [FIRST_COLUMN[e] for e in servo.members if named(e).site == "friction"]
     valley = np.isin(np.arange(len(COLUMNS)), [0, 1, *frictions])

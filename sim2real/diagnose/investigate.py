@@ -24,7 +24,7 @@ from sim2real.diagnose.effect_search import (
     states_load,
     with_rotors,
 )
-from sim2real.diagnose.link_effect import IrregularTiming, LinkData, link_of
+from sim2real.diagnose.link_effect import IrregularTiming, link_of
 from sim2real.diagnose.rattle import Rattle, rattles
 from sim2real.diagnose.result import Estimate
 from sim2real.diagnose.servo_search import ServoSearch
@@ -335,14 +335,14 @@ def _link(
 ) -> IrregularTiming:
     """What irregular timing explains of some joints; ``servos`` are those of all joints.
 
-    Their noise is as free as in the search for effects, see ``LinkData``.
+    Their noise is as free as in the search for effects.
     """
     fits = [servos[j].fit.of_joints([j]) for j in some]
-    left = tuple(
-        tuple(
+    left = [
+        [
             Residual(t, residual[: t.t.size], *fit.servos.theta[0, :3].tolist())
             for t, residual in zip(joints[j].traces, of_joint, strict=False)
-        )
+        ]
         for j, fit, of_joint in zip(some, fits, residual_angles(batch, joined(fits)), strict=True)
-    )
-    return link_of(LinkData(left, batch.lags, least_gain, DECISION.decisive_gain))
+    ]
+    return link_of(left, batch.lags, least_gain, DECISION.decisive_gain)

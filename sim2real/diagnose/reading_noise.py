@@ -10,10 +10,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from sim2real.arrays import Array
 from sim2real.inference.normal import SD_PER_MEDIAN
+from sim2real.noise import divided_differences
 from sim2real.readings import wrong_readings
 from sim2real.servo.trace import Trace, sensor_noise
 
@@ -151,10 +151,5 @@ def _differences(trace: Trace, order: int) -> tuple[Array, Array]:
     t, angle = trace.t[trace.used], trace.position[trace.used]
     if t.size <= order:
         return np.zeros(0), np.zeros(0)
-    times, angles = (sliding_window_view(x, order + 1) for x in (t, angle))
-    unit = times[:, 1:2] - times[:, :1]
-    gaps = [(times[:, k : k + 1] - np.delete(times, k, axis=1)) / unit for k in range(order + 1)]
-    weight = 1 / np.stack([gap.prod(axis=1) for gap in gaps], axis=1)
-    weight /= np.linalg.norm(weight, axis=1, keepdims=True)
-    speed = np.abs(angles[:, -1] - angles[:, 0]) / (times[:, -1] - times[:, 0])
-    return np.sum(weight * (angles - angles[:, :1]), axis=1), speed
+    speed = np.abs(angle[order:] - angle[:-order]) / (t[order:] - t[:-order])
+    return divided_differences(t, angle, order), speed

@@ -34,7 +34,7 @@ from sim2real.inference.segments import Window, robust_sd, windows
 from sim2real.model import FittedEffect, Model
 from sim2real.output import provenance
 from sim2real.recording import PER_INERTIA
-from sim2real.servo.linearised import residual_torque, smooth_speed
+from sim2real.servo.linearised import residual_torque
 from sim2real.servo.parameters import BASE
 from sim2real.units import three_digits
 
@@ -289,7 +289,7 @@ def _evidence(joint: JointFindings) -> list[JointSeries]:
                 position=trace.measured,
                 baseline=baseline,
                 enriched=enriched,
-                speed=smooth_speed(trace.t, trace.measured),
+                speed=trace.speed(),
                 torque=torque,
                 torque_sd=sd,
                 effects_torque=effects_torque,

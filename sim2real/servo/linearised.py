@@ -32,7 +32,8 @@ def residual_torque(
     weight's) in N m/rad; ``noise_rad``: standard deviation of the measurement noise.
     """
     step = float(np.median(np.diff(t)))
-    length = _length(step, t.size)
+    half = max(2, round(WINDOW_S / step / 2))
+    length = int(min(2 * half + 1, t.size - 1 + t.size % 2))
     grid = t[0] + step * np.arange(int(round((t[-1] - t[0]) / step)) + 1)
     measured = np.isfinite(residual)
     resampled = np.interp(grid, t[measured], residual[measured])
@@ -43,20 +44,6 @@ def residual_torque(
         taps += weight * savgol_coeffs(length, ORDER, deriv=order, delta=step)
     sd = noise_rad * float(np.sqrt(np.sum(taps**2)))
     return np.interp(t, grid, torque), np.full(t.size, sd)
-
-
-def smooth_speed(t: Array, position: Array) -> Array:
-    """Speed in rad/s by local polynomials, shape (T,), of angles with NaN where missing."""
-    step = float(np.median(np.diff(t)))
-    measured = np.isfinite(position)
-    resampled = np.interp(t, t[measured], position[measured])
-    length = _length(step, t.size)
-    return np.asarray(savgol_filter(resampled, length, ORDER, deriv=1, delta=step))
-
-
-def _length(step: float, samples: int) -> int:
-    half = max(2, round(WINDOW_S / step / 2))
-    return int(min(2 * half + 1, samples - 1 + samples % 2))
 
 
 @dataclass(frozen=True)
