@@ -18,7 +18,6 @@ from scipy.optimize import minimize_scalar
 from sim2real.arrays import Array, Index, Mask
 from sim2real.diagnose.decision import DECISION
 from sim2real.identification.problem import ServoProblem
-from sim2real.noise import noise_floor
 from sim2real.servo.parameters import BASE, beyond_load
 from sim2real.servo.rollout import LONGEST_SUBSTEP_S, Simulator
 from sim2real.servo.trace import Trace
@@ -109,8 +108,7 @@ def explained(
     elif way == "repeat":
         shared, mates = in_common(traces, errors, R)
         if not np.isfinite(np.concatenate(shared[:R])).any():  # each has a command of its own
-            floors = (noise_floor(t.t, t.command, t.position) for t in traces[:R])
-            least = 2 * max(floors)
+            least = 2 * max(trace.noise_floor_rad for trace in traces[:R])
     else:
         shared = [np.zeros(error.size) for error in errors]
     freed = tuple(

@@ -64,7 +64,6 @@ class Normal:
     autoregression: Array  # coefficients of the noise model, shape (N, lags)
     # simulated minus measured angles before whitening, shape (N, R, T); None unless requested
     residual: Array | None = None
-    whitened: Array | None = None  # innovations of the residual, likewise
     # simulated angles of the servos, see ``known`` of ``Batch.evaluate``, shape (N, R, T)
     angles: Array | None = None
 
@@ -137,8 +136,8 @@ class Batch:
 
         Of ``blocks`` of each recording; with the first ``deep`` variants only, and of each variant
         with itself, by default with all of them. The ``autoregression`` of each problem (N, lags)
-        is by default fitted by least squares to its residual. With ``keep``, residuals and
-        innovations are returned as well; with ``rough``, the servos are also simulated with the
+        is by default fitted by least squares to its residual. With ``keep``, residuals
+        are returned as well; with ``rough``, the servos are also simulated with the
         longer sub-steps of differences (``rollout.coarse_substep``), as for the choice of starting
         points. ``alone``: the servos without their variants, with their ``angles``, which a further
         evaluation then takes as ``known``; the variants are counted at the first.
@@ -160,8 +159,7 @@ class Batch:
             results.append(self._evaluate(piece, shape, coefficients, exact, keep, rough, alone))
         gram, square, model, *extras = (np.concatenate(x) for x in zip(*results, strict=True))
         normal = Normal(gram, square, self.count(problems.joint), model)
-        names = ("angles",) if alone else ("residual", "whitened")
-        return replace(normal, **dict(zip(names, extras, strict=False)))
+        return replace(normal, **{"angles" if alone else "residual": one for one in extras})
 
     def _evaluate(
         self,
@@ -249,8 +247,6 @@ class Batch:
         else:
             noise = [to_warp(problem.astype(np.int32)), signals, self._length, self._counts]
             launch(whitening.whiten, rows.size, [*noise, to_warp(noise_model), angle])
-        if keep:
-            extras.append(self._fetch(angle, first, count, recordings))
         packed = zeros((N, R * size[0], (size[1] + 1) * V))
         launch(whitening.gram, packed.shape, [*layout, *size, angle], [packed])
         return (*_unpacked(packed.numpy(), size[1], count, order), noise_model, *extras)
