@@ -10,7 +10,6 @@ the verdicts are written.
 
 from __future__ import annotations
 
-import itertools
 import json
 import random
 import traceback
@@ -34,7 +33,6 @@ def main() -> None:
     parser = command_line(
         __doc__, steps=(False, "only how finely sensors read, of all"), processes=1,
         seconds=(float("inf"), "then stop starting"),
-        devices=(["cpu"], "Warp devices, each as often as it is to have processes"),
     )  # fmt: skip
     parser.add_argument("set", type=Path, metavar="SET")
     parser.add_argument("rows", type=Path, metavar="ROWS.jsonl")
@@ -51,25 +49,23 @@ def main() -> None:
     left = [answer for answer in answers if answer["case"] not in known]
     examine = partial(measured, options.set, options.verdicts)
     random.Random(0).shuffle(left)
-    jobs = list(zip(itertools.cycle(options.devices), left, strict=False))
-    if jobs:  # the first alone, as it compiles the kernels for all
-        list(kept(options.rows, examine(jobs[0])))
-    each = spread(examine, jobs[1:], options.processes, in_order=False, seconds=options.seconds)
+    if left:  # the first alone, as it compiles the kernels for all
+        list(kept(options.rows, examine(left[0])))
+    each = spread(examine, left[1:], options.processes, in_order=False, seconds=options.seconds)
     list(kept(options.rows, (row for rows in each for row in rows)))
     print(f"{len({row['case'] for row in read_lines(options.rows)})} of {len(answers)} cases")
 
 
-def measured(challenge: Path, verdicts: Path, job: tuple[str, Row]) -> list[Row]:
-    """What is known of each joint of a case, on a device; its verdict is written along."""
+def measured(challenge: Path, verdicts: Path, answer: Row) -> list[Row]:
+    """What is known of each joint of a case; its verdict is written along."""
     from sim2real.diagnose.decision import DECISION
     from sim2real.diagnose.diagnose import examined
     from sim2real.diagnose.result import write_diagnosis
     from sim2real.diagnose.wording import diagnosis
     from sim2real.model import write_model
 
-    device, answer = job
     try:
-        case, joints = examined(read_case(challenge / "inputs" / answer["case"]), device=device)
+        case, joints = examined(read_case(challenge / "inputs" / answer["case"]))
         found = diagnosis(case, joints, DECISION.negligible, 0)
         target = verdicts / answer["case"]
         target.mkdir(parents=True, exist_ok=True)

@@ -38,7 +38,6 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("set", type=Path, metavar="SET")
     parser.add_argument("verdicts", type=Path, metavar="VERDICTS")
-    parser.add_argument("--device", default="cpu")
     parser.add_argument("--processes", type=int, metavar="N", help="--executor local --jobs N")
     add_executor(parser, otherwise="all cases together")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="then stop starting")
@@ -53,7 +52,7 @@ def main() -> int:
     start = time.perf_counter()
     for at in range(0, len(folders), TOGETHER):
         some = folders[at : at + TOGETHER]
-        for folder, answer in zip(some, answers(some, options.device), strict=True):
+        for folder, answer in zip(some, answers(some), strict=True):
             _write(options.verdicts / folder.name, *answer)
         passed = time.perf_counter() - start
         print(f"{at + len(some)} cases, {passed:.0f} s", flush=True)
@@ -88,7 +87,7 @@ def answer(folder: Path, *, case: str) -> None:
         case: Folder of the case.
     """
     start, before = time.perf_counter(), time.process_time()
-    (found,) = answers([Path(case)], "cpu")
+    (found,) = answers([Path(case)])
     cost = {
         "wall_s": time.perf_counter() - start,
         "cpu_s": time.process_time() - before,
@@ -107,9 +106,9 @@ def _write(target: Path, found: Diagnosis, plain: Model) -> None:
     write_model(plain, target / "baseline.json")
 
 
-def answers(folders: Sequence[Path], device: str) -> list[tuple[Diagnosis, Model]]:
+def answers(folders: Sequence[Path]) -> list[tuple[Diagnosis, Model]]:
     """The diagnosis and the plain model of each case, against its references where it has some."""
-    found = diagnose_all([_case(folder) for folder in folders], device=device)
+    found = diagnose_all([_case(folder) for folder in folders])
     return [(one, plain_model(one)) for one in found]
 
 

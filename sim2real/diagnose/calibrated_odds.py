@@ -202,7 +202,7 @@ def _stated(if_known: float, unknown: float, change: float = 0.0) -> float:
 
 
 def judged_and_offered(
-    joints: Sequence[JointCase], findings: Sequence[Finding], device: str
+    joints: Sequence[JointCase], findings: Sequence[Finding]
 ) -> list[JointFindings]:
     """Judge the findings of a robot by held-out errors, and choose the servos of its model.
 
@@ -213,29 +213,27 @@ def judged_and_offered(
     for j in searched:
         best, base = findings[j].best.members, findings[j].tried.base
         fewer = (best - {effect} for effect in best - base)
-        _score(errors[j], joints[j], findings[j], [base, best, *fewer], device)
+        _score(errors[j], joints[j], findings[j], [base, best, *fewer])
     judged_ones = judged_together([findings[j] for j in searched], [errors[j] for j in searched])
     judgements = dict(zip(searched, judged_ones, strict=True))
     return [
-        _offered(joint, judgements[j], errors[j], device)
+        _offered(joint, judgements[j], errors[j])
         if j in judgements
         else JointFindings(joint, finding, finding.best, finding.best, {})
         for j, (joint, finding) in enumerate(zip(joints, findings, strict=True))
     ]
 
 
-def _offered(
-    joint: JointCase, finding: Finding, unseen: dict[Set, Unseen], device: str
-) -> JointFindings:
+def _offered(joint: JointCase, finding: Finding, unseen: dict[Set, Unseen]) -> JointFindings:
     """A joint with the servo of its enriched model, chosen by held-out errors."""
     enriched, best = _with_named(finding), finding.best
-    _score(unseen, joint, finding, [enriched.members], device)
+    _score(unseen, joint, finding, [enriched.members])
     less, more = unseen.get(enriched.members), unseen.get(best.members)
     # All of the most probable set may predict better than what is named of it.
     if finding.mismatch and finding.link is None and less is not None and more is not None:
         enriched = best if more.error < less.error else enriched
     fewer = simpler(finding, enriched, unseen)
-    _score(unseen, joint, finding, [fewer], device)
+    _score(unseen, joint, finding, [fewer])
     return JointFindings(joint, finding, enriched, offer(finding, enriched, fewer, unseen), unseen)
 
 
@@ -244,14 +242,13 @@ def _score(
     joint: JointCase,
     finding: Finding,
     sets: Sequence[Set],
-    device: str,
 ) -> None:
     """Add the held-out errors of those sets of effects that were tried and have none yet."""
     tried = finding.tried.tried
     new = [s for s in dict.fromkeys(sets) if s in tried and s not in unseen]
     if new:
         servos = [tried[s].fit.servos for s in new]
-        scores = held_out([joint.traces] * len(new), servos, device=device)
+        scores = held_out([joint.traces] * len(new), servos)
         unseen.update((s, x) for s, x in zip(new, scores, strict=True) if x is not None)
 
 

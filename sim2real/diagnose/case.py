@@ -130,7 +130,6 @@ def prepared(case: Case) -> list[JointCase]:
 
 def batch_of(
     joints: Sequence[JointCase],
-    device: str = "cpu",
     *,
     period: float | None = None,
     bounded: bool = True,
@@ -143,7 +142,7 @@ def batch_of(
     irregular = all(trace.spread is not None for joint in joints for trace in joint.traces)
     slow = all(trace.slow is not None for joint in joints for trace in joint.traces)
     traces = [joint.traces for joint in joints]
-    return Batch(traces, device, bounded=bounded, white=irregular and not slow, period=period)
+    return Batch(traces, bounded=bounded, white=irregular and not slow, period=period)
 
 
 def coarse_step(traces: Sequence[Trace], stated_rad: float) -> float | None:

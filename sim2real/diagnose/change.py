@@ -18,7 +18,7 @@ from sim2real.diagnose.contrast import LOAD, Comparison, Fitted
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.effect_probabilities import Group
 from sim2real.diagnose.explained import Explained, explained
-from sim2real.diagnose.link_effect import IrregularTiming, LinkData, link_of
+from sim2real.diagnose.link_effect import IrregularTiming, link_of
 from sim2real.diagnose.result import Estimate
 from sim2real.diagnose.screening import FITTED
 from sim2real.diagnose.unmodelled import Windows
@@ -292,7 +292,7 @@ def _irregular_timing(of: Explained, *, lags: int = 2, least_gain: float = 1.0) 
         error = np.zeros(trace.t.size)
         error[trace.used] = -of.residual[of.recording == r]
         residual = Residual(trace, error, *of.row[:3].tolist())
-        links.append(link_of(LinkData(((residual,),), lags, least_gain)))
+        links.append(link_of([[residual]], lags, least_gain))
     late = [u.value if u.effect == "latency_jitter" else 0.0 for u in links]
     worst = max(range(of.references, len(links)), key=lambda r: late[r])
     if late[worst] > period / 2:  # set-points would overtake each other

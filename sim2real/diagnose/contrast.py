@@ -28,7 +28,6 @@ from sim2real.identification.servo_problem import Set
 from sim2real.inference.least_squares import OUTLIER_SD, robust_scale
 from sim2real.inference.normal import Z90
 from sim2real.inference.parameters import Parameter
-from sim2real.noise import noise_floor
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
 from sim2real.servo.parameters import BASE, COLUMNS, LINE, LOSSES, ROTOR
@@ -201,7 +200,7 @@ class Comparison:
             max(float(np.mean([times[q] for q in mates if q in times] or [usual])), usual)
             for mates in of.mates
         ]
-        floors = [noise_floor(t.t, t.command, t.position) for t in of.traces[:R]]
+        floors = [t.noise_floor_rad for t in of.traces[:R]]
         self.misfit = max(0.0, 1 - max(floors) ** 2 / float(noise[0])) if of.way == "law" else 0.0
         self.noise, self.usual = noise, usual
         self.references = [

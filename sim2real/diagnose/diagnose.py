@@ -125,7 +125,6 @@ def diagnose_all(
     *,
     negligible: float = DECISION.negligible,
     seed: int = 0,
-    device: str = "cpu",
     thorough: bool = False,
     progress: Progress = lambda share: None,
 ) -> list[Diagnosis]:
@@ -135,7 +134,6 @@ def diagnose_all(
         cases: The robots.
         negligible: As of ``diagnose``.
         seed: Seed of the bootstraps.
-        device: Warp device.
         thorough: Whether to work out detection limits, the next experiment and what the figures
             show as well.
         progress: Called with the share that is done.
@@ -146,7 +144,7 @@ def diagnose_all(
         def step(share: float, done: int = k) -> None:
             progress((done + share) / len(cases))
 
-        case, joints = examined(given, seed=seed, device=device, progress=step)
+        case, joints = examined(given, seed=seed, progress=step)
         result = diagnosis(case, joints, negligible, seed)
         results.append(with_checks(result, case, joints) if thorough else result)
         step(1.0)
@@ -154,7 +152,7 @@ def diagnose_all(
 
 
 def examined(
-    case: Case, *, seed: int = 0, device: str = "cpu", progress: Progress = lambda share: None
+    case: Case, *, seed: int = 0, progress: Progress = lambda share: None
 ) -> tuple[Case, list[JointFindings]]:
     """What is known of each joint of a robot, before it is put into words; as ``diagnose_all``.
 
@@ -166,19 +164,19 @@ def examined(
     case = replace(case, recordings=kept[:count], references=kept[count:], warnings=warnings)
     case = with_known_servos(_with_laws_open(case), rng)
     recorded = prepared(case)
-    joints, first = _first_look(recorded, rng, device)
+    joints, first = _first_look(recorded, rng)
     joints = [with_slow_errors(*pair) for pair in zip(joints, (x.best for x in first), strict=True)]
     if not any(joint.references for joint in joints):
-        batch = batch_of(joints, device)
+        batch = batch_of(joints)
         joints = on_one_clock(batch, joints, [tried.best for tried in first])
 
     def searching(share: float) -> None:
         progress(0.8 * share)
 
-    batch = batch_of(joints, device)
+    batch = batch_of(joints)
     aligned, findings = findings_of(batch, joints, first, rng=rng, progress=searching)
-    joints, batch = list(aligned), batch_of(aligned, device)
-    found = judged_and_offered(joints, findings, device)
+    joints, batch = list(aligned), batch_of(aligned)
+    found = judged_and_offered(joints, findings)
     plain = [one.finding.tried.plain for one in found]
     before = residual_angles(batch, joined([servo.fit for servo in plain]))
     after = residual_angles(batch, joined([one.offered.fit for one in found]))
@@ -195,7 +193,7 @@ def examined(
             after=after[j],
             least_squares=robust[j],
             robust=_robust(joints[j], as_read[j], one.offered) if one.adds_effects else robust[j],
-            identified=_identified(joints[j], one, seed, device),
+            identified=_identified(joints[j], one, seed),
         )
         for j, one in enumerate(found)
     ]
@@ -219,11 +217,11 @@ def _with_laws_open(case: Case) -> Case:
 
 
 def _first_look(
-    joints: Sequence[JointCase], rng: np.random.Generator, device: str
+    joints: Sequence[JointCase], rng: np.random.Generator
 ) -> tuple[list[JointCase], list[Tried]]:
     """The joints, with their motor's limit where that shows, and every set that was tried."""
     joints = list(joints)
-    batch = batch_of(joints, device)
+    batch = batch_of(joints)
     tried, search = _looked(batch, joints, rng)
     lines = models_with_limits(search, joints, tried)
     changed = set(lines)
@@ -236,7 +234,7 @@ def _first_look(
     order = sorted(changed)
     if order:
         some = [joints[j] for j in order]
-        again = batch_of(some, device, period=batch.period)
+        again = batch_of(some, period=batch.period)
         for j, one in zip(order, _looked(again, some, rng)[0], strict=True):
             tried[j] = placed(one, j)
     return joints, tried
@@ -284,10 +282,7 @@ def _robust(
     owners = [COLUMNS[c].partition(".")[0] for c in servos.columns[0]]
     fixed = [owner in {e.name for e in NUISANCES} for owner in owners]
     columns = np.where(fixed, -1, servos.columns).astype(np.int32)
-    order = np.argsort(columns[0] < 0, kind="stable")
-    unit, low, high = (x[:, order] for x in (servos.unit, servos.low, servos.high))
-    none = np.zeros(1, dtype=np.int32)
-    start = Servos(none, servos.theta, columns[:, order], unit, low, high)
+    start = replace(servos, columns=columns).of_joints([0])
     traces = [replace(trace, spread=trace.error_ratio, slow=None) for trace in traces]
     frictions = [FIRST_COLUMN[e] for e in servo.members if named(e).site == "friction"]
     valley = np.isin(np.arange(len(COLUMNS)), [0, 1, *frictions])
@@ -300,7 +295,7 @@ def _robust(
 
 
 def _identified(
-    joint: JointCase, found: JointFindings, seed: int, device: str
+    joint: JointCase, found: JointFindings, seed: int
 ) -> tuple[JointModel, Unseen] | None:
     """The servo as ``identify`` fits it, and its errors on held-out data, where these are smaller.
 
@@ -318,7 +313,7 @@ def _identified(
     columns = np.array([c for c in present if COLUMNS[c] not in _GIVEN], dtype=np.int32)
     value, none = np.abs(row[columns])[None], np.zeros(1, dtype=np.int32)
     start = Servos(none, row[None], columns[None], value, value / 4, 4 * value)
-    (unseen,) = held_out([joint.traces], [start], device=device)
+    (unseen,) = held_out([joint.traces], [start])
     if unseen is None:
         return None
     ratio = unseen.rmse / offered.rmse if lasting else unseen.error / offered.error

@@ -18,7 +18,6 @@ from scipy.optimize import minimize_scalar
 from sim2real.arrays import Array, Index, Mask
 from sim2real.diagnose.decision import DECISION
 from sim2real.identification.problem import ServoProblem
-from sim2real.noise import noise_floor
 from sim2real.servo.parameters import BASE, beyond_load
 from sim2real.servo.rollout import LONGEST_SUBSTEP_S, Simulator
 from sim2real.servo.trace import Trace
@@ -39,19 +38,14 @@ class SameSteps(ServoProblem):
         return Simulator(self.traces, add_loads=True)
 
     @cached_property
-    def exact(self) -> bool:
-        """Never: what a solution in closed form differs by is no change."""
-        return False
-
-    @cached_property
     def _usual(self) -> float:
         """Sub-step of the servo itself; a sensor's filter may be shorter than a sample."""
         longest = min(LONGEST_SUBSTEP_S, min(trace.period_s for trace in self.traces) / 8)
-        return float(self.simulator.substeps(self.row[None], longest_s=longest, exact=False)[0])
+        return float(self.simulator.substeps(self.row[None], longest_s=longest)[0])
 
     def substeps(self, rows: Array, *, rough: bool = False) -> Array:
         """That of the servo itself, shorter where servos (B, P) are faster, s, (B,)."""
-        return np.minimum(self.simulator.substeps(rows, exact=False), self._usual)
+        return np.minimum(self.simulator.substeps(rows), self._usual)
 
 
 @dataclass(frozen=True)
@@ -114,8 +108,7 @@ def explained(
     elif way == "repeat":
         shared, mates = in_common(traces, errors, R)
         if not np.isfinite(np.concatenate(shared[:R])).any():  # each has a command of its own
-            floors = (noise_floor(t.t, t.command, t.position) for t in traces[:R])
-            least = 2 * max(floors)
+            least = 2 * max(trace.noise_floor_rad for trace in traces[:R])
     else:
         shared = [np.zeros(error.size) for error in errors]
     freed = tuple(

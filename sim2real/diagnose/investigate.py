@@ -24,7 +24,7 @@ from sim2real.diagnose.effect_search import (
     states_load,
     with_rotors,
 )
-from sim2real.diagnose.link_effect import IrregularTiming, LinkData, link_of
+from sim2real.diagnose.link_effect import IrregularTiming, link_of
 from sim2real.diagnose.rattle import Rattle, rattles
 from sim2real.diagnose.result import Estimate
 from sim2real.diagnose.servo_search import ServoSearch
@@ -136,13 +136,13 @@ def investigate(
             joints[j] = with_own_latency(batch, joints[j], findings[j].best)
             joints[j] = with_slow_errors(joints[j], findings[j].best)
         some, before = [joints[j] for j in again], [findings[j].tried for j in again]
-        free = batch_of(some, batch.device, period=batch.period, bounded=False)
+        free = batch_of(some, period=batch.period, bounded=False)
         for j, finding in zip(again, _findings(free, some, before, rng, again=True), strict=True):
             own = replace(placed(finding.tried, j), case=finding.tried.case)
             mismatch = finding.mismatch or findings[j].mismatch
             best = own.tried[finding.best.members]
             findings[j] = replace(finding, tried=own, best=best, mismatch=mismatch)
-    batch = batch_of(joints, batch.device, period=batch.period)
+    batch = batch_of(joints, period=batch.period)
     findings, alone = _with_link(batch, joints, range(len(joints)), findings)
     for j in alone:  # where not all joints show it, one's own controller may be slow
         findings, _ = _with_link(batch, joints, [j], findings, DECISION.controller_wait_s)
@@ -335,14 +335,14 @@ def _link(
 ) -> IrregularTiming:
     """What irregular timing explains of some joints; ``servos`` are those of all joints.
 
-    Their noise is as free as in the search for effects, see ``LinkData``.
+    Their noise is as free as in the search for effects.
     """
     fits = [servos[j].fit.of_joints([j]) for j in some]
-    left = tuple(
-        tuple(
+    left = [
+        [
             Residual(t, residual[: t.t.size], *fit.servos.theta[0, :3].tolist())
             for t, residual in zip(joints[j].traces, of_joint, strict=False)
-        )
+        ]
         for j, fit, of_joint in zip(some, fits, residual_angles(batch, joined(fits)), strict=True)
-    )
-    return link_of(LinkData(left, batch.lags, least_gain, DECISION.decisive_gain))
+    ]
+    return link_of(left, batch.lags, least_gain, DECISION.decisive_gain)

@@ -36,16 +36,6 @@ _STEP = 0.1
 
 
 @dataclass(frozen=True)
-class LinkData:
-    """Residuals of one robot's fits: for each joint its recordings, and what the noise may be."""
-
-    joints: tuple[tuple[Residual, ...], ...]
-    lags: int
-    least_gain: float
-    noticed: float = 0.0
-
-
-@dataclass(frozen=True)
 class IrregularTiming:
     """Irregular timing that explains a part of a robot's residuals."""
 
@@ -64,14 +54,20 @@ class IrregularTiming:
     unexplained: tuple[tuple[Array, ...], ...] = ()
 
 
-def link_of(robot: LinkData) -> IrregularTiming:
-    """The better of the two effects on one robot's link; ``gain`` 0 below what is noticed."""
-    joints = [with_noise(x, min(robot.lags, MOST_LAGS), robot.least_gain) for x in robot.joints]
+def link_of(
+    residuals: Sequence[Sequence[Residual]], lags: int, least_gain: float, noticed: float = 0.0
+) -> IrregularTiming:
+    """The better of the two effects on one robot's link; ``gain`` 0 below what is ``noticed``.
+
+    ``residuals`` are those of each joint's recordings, ``lags`` and ``least_gain`` as of their
+    ``with_noise``.
+    """
+    joints = [with_noise(of_joint, min(lags, MOST_LAGS), least_gain) for of_joint in residuals]
     samples = sum(joint.count for joint in joints)
-    negligible = DECISION.link.negligible_gain * samples if robot.noticed else 0.0
+    negligible = DECISION.link.negligible_gain * samples if noticed else 0.0
     fits = [fit for effect in EFFECTS for fit in fitted(joints, effect)]
     best = max(fits, key=lambda fit: fit.gain)
-    if best.gain < max(robot.noticed, negligible):
+    if best.gain < max(noticed, negligible):
         return IrregularTiming(best.effect, shares=tuple(0.0 for _ in joints))
     return best.result()
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import periodogram
 
 from sim2real.arrays import Array
 from sim2real.diagnose.decision import DECISION
@@ -95,10 +96,6 @@ def _bands(t: Array, residual: Array) -> Array:
     step = float(np.median(np.diff(t)))
     grid = np.arange(t[0], t[-1], step)
     even = np.interp(grid, t[known], residual[known])
-    window = np.hanning(even.size)
-    spectrum = np.abs(np.fft.rfft(window * (even - even.mean()))) ** 2
-    frequency = np.fft.rfftfreq(even.size, step)
+    frequency, density = periodogram(even, 1 / step, "hann")
     edges = np.arange(LOWEST_HZ, frequency[-1], BAND_HZ)
-    place = np.digitize(frequency, edges)
-    per = 2 / (even.size * np.sum(window**2))
-    return per * np.array([spectrum[place == k].sum() for k in range(1, edges.size)])
+    return np.histogram(frequency, edges, weights=density * frequency[1])[0]

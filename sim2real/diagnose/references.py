@@ -134,7 +134,7 @@ def findings_of(
     referred = [j for j, x in enumerate(joints) if x.references and x.model and x.servo]
     if len(referred) < len(joints):
         joints, findings = investigate(batch, joints, known, rng=rng, progress=progress)
-        batch = batch_of(joints, batch.device, period=batch.period)
+        batch = batch_of(joints, period=batch.period)
     else:
         findings = _not_searched(batch, joints, rng)
     for count, j in enumerate(referred):

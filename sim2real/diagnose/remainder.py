@@ -9,7 +9,6 @@ import numpy as np
 from sim2real.arrays import Array, Mask
 from sim2real.diagnose.decision import DECISION
 from sim2real.inference.segments import most_uneven
-from sim2real.servo.linearised import smooth_speed
 from sim2real.servo.trace import Trace
 from sim2real.units import three_digits
 
@@ -38,7 +37,7 @@ def _parts(
 
     A joint rests below the share ``slowest`` of its fastest speeds; ``levels`` are quantiles.
     """
-    speeds = [smooth_speed(trace.t, trace.measured) for trace in traces]
+    speeds = [trace.speed() for trace in traces]
     speed = np.concatenate(speeds)
     rest = slowest * float(np.quantile(np.abs(speed), 0.99))
     yield "at rest", np.abs(speed) <= rest, "Record longer holds, reached from both sides,"

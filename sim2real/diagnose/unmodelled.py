@@ -242,7 +242,7 @@ def _intermittent(
         if not any(found) or seconds >= most:
             return _NOWHERE
         kept = [_without(t, w) for t, w in zip(traces, found, strict=True)]
-        outside = Batch([kept], batch.device, batch.threads)
+        outside = Batch([kept], batch.threads)
         white = minimise(outside, plain.servos.of_joints([0]), iterations=8, white=True)
         fit = minimise(outside, white.servos, iterations=8)
         if fit.count[0] <= outside.lags:  # too few samples outside explain nothing
@@ -286,23 +286,16 @@ def _motions(
         counts = trace.used.copy()
         counts[: batch.lags] = False
         others = [
-            simulated_angle(residuals[i, k], other)
+            other.simulated(residuals[i, k, : other.t.size][other.used])
             for i, sibling in enumerate(joints)
             for k, other in enumerate(sibling)
             if i != joint and other.file == trace.file and other.t.size == trace.t.size
         ]
-        angle = simulated_angle(residuals[joint, r], trace)
         siblings_angles = np.array(others).reshape(len(others), trace.t.size)
         own = residuals[joint, r, : trace.t.size]
+        angle = trace.simulated(own[trace.used])
         motions.append(JointMotion(trace, angle, own, counts, siblings_angles))
     return motions
-
-
-def simulated_angle(residual: Array, trace: Trace) -> Array:
-    """Simulated angles of a recording; where none was measured, between its neighbours."""
-    used = np.flatnonzero(trace.used)
-    angle = residual[used] + trace.position[used]
-    return np.asarray(np.interp(trace.t, trace.t[used], angle))
 
 
 def smooth_function(servo: ServoMotion) -> Smooth:

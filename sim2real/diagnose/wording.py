@@ -25,7 +25,7 @@ from sim2real.diagnose.result import (
 )
 from sim2real.diagnose.rival_sets import design_of, separations
 from sim2real.diagnose.screening import Candidate, Screen
-from sim2real.diagnose.unmodelled import measured_only, simulated_angle
+from sim2real.diagnose.unmodelled import measured_only
 from sim2real.diagnose.verdict import Named, named_groups, rivals, split_by_size, verdict
 from sim2real.effects import SET_ANEW, named, plain
 from sim2real.findings import all_findings
@@ -34,7 +34,7 @@ from sim2real.inference.segments import Window, robust_sd, windows
 from sim2real.model import FittedEffect, Model
 from sim2real.output import provenance
 from sim2real.recording import PER_INERTIA
-from sim2real.servo.linearised import residual_torque, smooth_speed
+from sim2real.servo.linearised import residual_torque
 from sim2real.servo.parameters import BASE
 from sim2real.units import three_digits
 
@@ -275,7 +275,9 @@ def _evidence(joint: JointFindings) -> list[JointSeries]:
     kp, kd = joint.finding.tried.plain.fit.servos.theta[0, :2].tolist()
     series = []
     for trace, before, after in zip(joint.joint.traces, joint.before, joint.after, strict=False):
-        baseline, enriched = (simulated_angle(residual, trace) for residual in (before, after))
+        baseline, enriched = (
+            trace.simulated(x[: trace.t.size][trace.used]) for x in (before, after)
+        )
         servo = (trace.load.inertia_kgm2, kd, kp + trace.load.gravity_Nm)
         error = np.where(trace.used, baseline - trace.measured, np.nan)
         torque, sd = residual_torque(trace.t, error, servo, joint.joint.noise)
@@ -289,7 +291,7 @@ def _evidence(joint: JointFindings) -> list[JointSeries]:
                 position=trace.measured,
                 baseline=baseline,
                 enriched=enriched,
-                speed=smooth_speed(trace.t, trace.measured),
+                speed=trace.speed(),
                 torque=torque,
                 torque_sd=sd,
                 effects_torque=effects_torque,

@@ -71,9 +71,7 @@ def folds(traces: Sequence[Trace]) -> list[tuple[list[Trace], list[Trace]]]:
     return pairs
 
 
-def held_out(
-    joints: Sequence[Sequence[Trace]], servos: Sequence[Servos], *, device: str = "cpu"
-) -> list[Unseen | None]:
+def held_out(joints: Sequence[Sequence[Trace]], servos: Sequence[Servos]) -> list[Unseen | None]:
     """Refit each servo without each fold, and compute its residuals there.
 
     Refits are robust and assume white noise: a free noise model takes what is missing from a model
@@ -82,7 +80,6 @@ def held_out(
     Args:
         joints: Traces of each servo's joint.
         servos: Servos with the parameters fitted to all samples, each of one row.
-        device: Warp device.
 
     Returns:
         One entry per servo; None where nothing can be held out.
@@ -91,8 +88,8 @@ def held_out(
     if not pairs:
         return [None for _ in joints]
     start = stacked([servos[n] for n, _ in pairs]).of_joints(range(len(pairs)))
-    fits = minimise_robustly([fitted for _, (fitted, _) in pairs], start, device=device)
-    scoring = Batch([scored for _, (_, scored) in pairs], device, white=True)
+    fits = minimise_robustly([fitted for _, (fitted, _) in pairs], start)
+    scoring = Batch([scored for _, (_, scored) in pairs], white=True)
     residuals, standard, theta = (list[list[Array]]([] for _ in joints) for _ in range(3))
     errors = residual_angles(scoring, fits)
     for (n, (_, scored)), error, row in zip(pairs, errors, fits.servos.theta, strict=True):

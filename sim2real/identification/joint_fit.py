@@ -166,8 +166,10 @@ def choose_motor(
     if before is None or BASE[0] not in before.names:
         best = fit_limit(traces, plain, prior, names, rng)
         if set_points and rms([best.error]) > EXPLAINED * noise and traces[0].varying is None:
-            limited = fit_set_point_limit(best, servo, prior, rng)
-            best = _likeliest([best, limited]) if limited.told(RATE_LIMIT) else best
+            # Without it a servo that limits its set-points seems heavier and its motor slower.
+            known = prior if best.law == "motor" else prior.flat(float(best.row[1]))
+            values = servo.no_load_speed_rad_s * np.array([1.0, 0.7])
+            best = _limited(best, best.row, known, best.names, RATE_LIMIT, values, rng)
     else:
         names = tuple(dict.fromkeys((*names, *before.names)))
         known = prior if before.law == "motor" else prior.flat(float(plain.row[1]))
@@ -226,31 +228,27 @@ def fit_limit(
         options.append(fit_motor(traces, plain, flat, names, rng, start[None]))
     best = _likeliest(options)
     if BASE[0] in names and rms([best.error]) > EXPLAINED * sensor_noise(traces):
-        starts = np.tile(line.row, (len(current_limits), 1))
-        starts[:, _LINE] = [np.exp(prior[name].nominal) for name in LINE]
-        starts[:, COLUMNS.index(CURRENT_LIMIT)] = starts[:, _LINE[0]] * np.array(current_limits)
-        both = fit_motor(traces, plain, prior, (*names, CURRENT_LIMIT), rng, starts)
-        if both.told(CURRENT_LIMIT):
-            best = _likeliest([best, both])
+        row = line.row.copy()
+        row[_LINE] = [np.exp(prior[name].nominal) for name in LINE]
+        values = row[_LINE[0]] * np.array(current_limits)
+        best = _limited(best, row, prior, names, CURRENT_LIMIT, values, rng)
     return best
 
 
-def fit_set_point_limit(
+def _limited(
     best: Fit,
-    servo: Servo,
+    row: Array,
     prior: MotorPrior,
+    names: Sequence[str],
+    limit: str,
+    values: Array,
     rng: np.random.Generator,
-    *,
-    shares: Sequence[float] = (1.0, 0.7),
 ) -> Fit:
-    """Fit a motor whose set-points move at a limited speed, from ``shares`` of the data sheet's.
-
-    Without it a servo that limits them seems to be heavier and its motor slower.
-    """
-    known = prior if best.law == "motor" else prior.flat(float(best.row[1]))
-    starts = np.tile(best.row, (len(shares), 1))
-    starts[:, COLUMNS.index(RATE_LIMIT)] = servo.no_load_speed_rad_s * np.array(shares)
-    return fit_motor(best.problem.traces, best, known, (*best.names, RATE_LIMIT), rng, starts)
+    """A fit, or the likelier one with a limit, from ``row`` (P,), that the recordings determine."""
+    starts = np.tile(row, (len(values), 1))
+    starts[:, COLUMNS.index(limit)] = values
+    more = fit_motor(best.problem.traces, best, prior, (*names, limit), rng, starts)
+    return _likeliest([best, more]) if more.told(limit) else best
 
 
 def fit_motor(

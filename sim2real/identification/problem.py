@@ -84,11 +84,6 @@ class ServoProblem:
         return low, high
 
     @cached_property
-    def exact(self) -> bool:
-        """Whether all servos have a solution in closed form."""
-        return self.simulator.is_linear(self._with_all)
-
-    @cached_property
     def smooth(self) -> bool:
         """Whether longer sub-steps are stable: damping by an effect may not be with them."""
         servo = self._with_all
@@ -139,13 +134,12 @@ class ServoProblem:
         return self._errors(rows, self.substeps(rows, rough=rough))
 
     def substeps(self, rows: Array, *, rough: bool = False) -> Array:
-        """Longest sub-step in s of each of the servos (B, P), (B,); infinite for exact solutions.
+        """Longest sub-step in s of each of the servos (B, P), (B,).
 
         ``rough``: for derivatives, or far from a minimum (``rollout.coarse_substep``).
         """
-        exact = self.exact and self.simulator.is_linear(rows)
-        fine = self.simulator.substeps(rows, exact=exact)
-        return coarse_substep(fine) if rough and self.smooth and not exact else fine
+        fine = self.simulator.substeps(rows)
+        return coarse_substep(fine) if rough and self.smooth else fine
 
     def _errors(self, rows: Array, substeps: Array) -> Array:
         angles = self.simulator.angles(rows, substeps)
@@ -198,7 +192,7 @@ class ServoProblem:
         self, x: Array, error: Array, scale: float, inflation: float, *, rough: bool
     ) -> Expansion:
         """Half the loss and its derivatives about ``x`` (B, F) with residuals (B, n)."""
-        same = rough or self.exact or not self.smooth
+        same = rough or not self.smooth
         _, slopes = self.slopes(x, error if same else None)
         prior, prior_slopes = self.prior_slopes(x)
         weight = 1 / np.sqrt(1 + (error / (OUTLIER_SD * scale)) ** 2) / scale**2 / inflation

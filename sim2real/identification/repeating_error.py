@@ -49,7 +49,7 @@ def repeating_error(
     if best.scale_rad <= 0.0 or not traces:
         return none
     errors = [e for e in best.residuals if e.size]
-    angles = [_simulated(t, e) for t, e in zip(traces, errors, strict=True)]
+    angles = [t.simulated(e) for t, e in zip(traces, errors, strict=True)]
     low, high = min(a.min() for a in angles), max(a.max() for a in angles)
     if high - low < best.scale_rad:
         return none
@@ -119,12 +119,6 @@ def variance_components(
         noise = max(left / free, 1e-3 * noise)
     squares = coefficients**2 + variance * np.diag(remaining)
     return np.split(squares, start[1:]), freedom
-
-
-def _simulated(trace: Trace, error: Array) -> Array:
-    """Simulated angle in rad at all samples of a trace, shape (T,), from its residual."""
-    used = np.flatnonzero(trace.used)
-    return np.interp(np.arange(trace.t.size), used, trace.position[used] + error)
 
 
 def _through_loop(best: Fit, trace: Trace, torque: Array) -> Array:

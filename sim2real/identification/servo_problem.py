@@ -308,7 +308,6 @@ def minimise_robustly(
     joints: Sequence[Sequence[Trace]],
     servos: Servos,
     *,
-    device: str = "cpu",
     iterations: int = 10,
     rounds: int = 3,
 ) -> Fits:
@@ -320,13 +319,12 @@ def minimise_robustly(
     Args:
         joints: The recordings of each servo, one entry a servo.
         servos: Starting points, on joints 0, 1 and so on.
-        device: Warp device.
         iterations: Largest number of evaluations a round.
         rounds: Largest number of rounds.
     """
     weighted = [list(traces) for traces in joints]
     for number in range(rounds):
-        batch = Batch(weighted, device, white=True)
+        batch = Batch(weighted, white=True)
         fits = minimise(batch, servos, iterations=iterations, white=True)
         servos = fits.servos
         if number == rounds - 1:

@@ -51,7 +51,7 @@ def first_guess(
 
     def errors(points: Array) -> Array:
         rows = _rows(points, inertia, rotor_kgm2)
-        substeps = simulator.substeps(rows, 6.0, 4e-3, exact=simulator.is_linear(rows))
+        substeps = simulator.substeps(rows, 6.0, 4e-3)
         # the fast mode of strong damping decays within a millisecond
         (angle,) = simulator.angles(rows, np.maximum(substeps, 1e-3))
         return np.asarray(np.mean(np.abs(angle - trace.position)[:, trace.used], axis=1))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from sim2real.arrays import Array
@@ -113,15 +114,12 @@ def _shares(level: float) -> Array:
 
 
 def _mixture_quantiles(weight: Array, mean: Array, variance: Array, level: float) -> Quantiles:
-    """Central interval and median of a mixture of K normal distributions, by bisection."""
+    """Central interval and median of a mixture of K normal distributions."""
     sd = np.sqrt(variance)
-    weight = weight / weight.sum()
-    used = weight > 1e-9 * weight.max()
-    weight, mean, sd = weight[used], mean[used], sd[used]
-    below, above = (np.full(3, end) for end in ((mean - 40 * sd).min(), (mean + 40 * sd).max()))
-    for _ in range(50):
-        middle = 0.5 * (below + above)
-        reached = ndtr((middle[:, None] - mean) / sd) @ weight > _shares(level)
-        below, above = np.where(reached, below, middle), np.where(reached, middle, above)
-    low, middle_one, high = 0.5 * (below + above)
-    return float(low), float(middle_one), float(high)
+
+    def above(x: float, share: float) -> float:
+        return float(ndtr((x - mean) / sd) @ weight / weight.sum()) - share
+
+    ends = (mean - 40 * sd).min(), (mean + 40 * sd).max()
+    low, middle, high = (brentq(above, *ends, args=(x,), xtol=1e-15) for x in _shares(level))
+    return float(low), float(middle), float(high)

@@ -60,12 +60,8 @@ _DENSITY = (
 )
 _CHAIN = (
     "{walkers} walkers made {steps} steps each, {spans:.0f} of the longest autocorrelation time; "
-    "{least} are required. {accepted:.0f} % of the moves were accepted. {how}"
+    "{least} are required. {accepted:.0f} % of the moves were accepted."
 )
-_HOW = {
-    True: "The servo was solved in closed form, without time steps.",
-    False: "The servo was simulated in sub-steps, effects included.",
-}
 _CORNER = (
     "Posterior of {joint}. On the diagonal each parameter with its median and its 5 % and 95 % "
     "quantiles; below it regions that contain 50, 80 and 95 %."
@@ -184,7 +180,6 @@ def posterior_section(gathered: Gathered, joint: str) -> Section:
         spans=mixing.spans,
         least=LEAST_TIMES,
         accepted=100 * mixing.accepted,
-        how=_HOW[posterior.problem.exact],
     )
     rows = [
         (printable(readable_name(prior.name)), str(prior), f"{time:.1f}")

@@ -24,6 +24,7 @@ from sim2real.servo.rollout import (
     to_warp,
     trace_contexts,
     workers,
+    zeros,
 )
 from sim2real.servo.slow_noise import SlowNoise
 from sim2real.servo.trace import Trace
@@ -35,7 +36,7 @@ _MOST_SUBSTEPS = 64
 strongly has decayed within a sample, and the trapezoidal rule for the damping stays stable."""
 _SAME_RAD = 5e-3
 """Largest root-mean-square change of a servo's angles by long sub-steps, rad."""
-_BYTES = {"cpu": 200e6, "cuda": 16e9}
+_BYTES = 200e6
 """Bytes of angles in memory at once."""
 
 
@@ -63,13 +64,12 @@ class Normal:
     autoregression: Array  # coefficients of the noise model, shape (N, lags)
     # simulated minus measured angles before whitening, shape (N, R, T); None unless requested
     residual: Array | None = None
-    whitened: Array | None = None  # innovations of the residual, likewise
     # simulated angles of the servos, see ``known`` of ``Batch.evaluate``, shape (N, R, T)
     angles: Array | None = None
 
 
 class Batch:
-    """Recordings of joints, on a device, ready for problems of any number.
+    """Recordings of joints, ready for problems of any number.
 
     The noise is that of a sensor, whose slow drift is ``bounded``; otherwise it is unbounded, to
     include errors that no model explains, or always ``white``. Where all traces have ``SlowErrors``
@@ -82,7 +82,6 @@ class Batch:
     def __init__(
         self,
         joints: Sequence[Sequence[Trace]],
-        device: str = "cpu",
         threads: int = 2,
         *,
         bounded: bool = True,
@@ -92,7 +91,7 @@ class Batch:
         all_traces = [trace for traces in joints for trace in traces]
         if period is None:
             period = float(np.median(np.concatenate([np.diff(x.t) for x in all_traces[:64]])))
-        self.device, self.threads, self.period = device, threads, period
+        self.threads, self.period = threads, period
         self.least_gain = WANDER.least_gain(period) if bounded else 0.0
         slow = not white and all(trace.slow is not None for trace in all_traces)
         self.white = white or slow
@@ -110,11 +109,11 @@ class Batch:
         self.samples = counts.sum(axis=1)
         self.substeps = np.zeros(len(joints))
         self._span_s = np.array([trace.duration_s for trace in all_traces])
-        self._signals = [to_warp(x, device) for x in signals]
-        self._position, self._counts = (to_warp(x, device) for x in (position, counts))
-        self._length, self._weight = self._signals[2], to_warp(self.weight, device)
-        self._contexts = [to_warp(x, device) for x in trace_contexts(all_traces)]
-        self.slow = SlowNoise(all_traces, device) if slow else None
+        self._signals = [to_warp(x) for x in signals]
+        self._position, self._counts = to_warp(position), to_warp(counts)
+        self._length, self._weight = self._signals[2], to_warp(self.weight)
+        self._contexts = [to_warp(x) for x in trace_contexts(all_traces)]
+        self.slow = SlowNoise(all_traces) if slow else None
 
     def count(self, joint: Integers) -> Array:
         """Number of samples whose innovations count, for each of these joints, shape (N,)."""
@@ -137,8 +136,8 @@ class Batch:
 
         Of ``blocks`` of each recording; with the first ``deep`` variants only, and of each variant
         with itself, by default with all of them. The ``autoregression`` of each problem (N, lags)
-        is by default fitted by least squares to its residual. With ``keep``, residuals and
-        innovations are returned as well; with ``rough``, the servos are also simulated with the
+        is by default fitted by least squares to its residual. With ``keep``, residuals
+        are returned as well; with ``rough``, the servos are also simulated with the
         longer sub-steps of differences (``rollout.coarse_substep``), as for the choice of starting
         points. ``alone``: the servos without their variants, with their ``angles``, which a further
         evaluation then takes as ``known``; the variants are counted at the first.
@@ -150,9 +149,8 @@ class Batch:
         N, V, _ = problems.theta.shape
         if self.white:
             autoregression = np.zeros((N, self.lags))
-        capacity = next(v for k, v in _BYTES.items() if self.device.startswith(k))
         per_problem = self.recordings.max() * V * self.length.max() * 8
-        size = max(1, int(capacity / per_problem))
+        size = max(1, int(_BYTES / per_problem))
         shape, results = (blocks, deep or V), []
         for part in (slice(k, min(k + size, N)) for k in range(0, N, size)):
             coefficients = None if autoregression is None else autoregression[part]
@@ -161,8 +159,7 @@ class Batch:
             results.append(self._evaluate(piece, shape, coefficients, exact, keep, rough, alone))
         gram, square, model, *extras = (np.concatenate(x) for x in zip(*results, strict=True))
         normal = Normal(gram, square, self.count(problems.joint), model)
-        names = ("angles",) if alone else ("residual", "whitened")
-        return replace(normal, **dict(zip(names, extras, strict=False)))
+        return replace(normal, **{"angles" if alone else "residual": one for one in extras})
 
     def _evaluate(
         self,
@@ -191,31 +188,27 @@ class Batch:
         order = np.argsort(~present[:, 0], axis=1, kind="stable")  # present variants first
         active = active_effects(problems.theta.reshape(N * V, -1)).reshape(N, V)
         fine, coarse = self._substeps(problems, rough=rough)
-        dev = self.device
-
-        put, launch = partial(to_warp, device=dev), partial(wp.launch, device=dev)
-        table = put(problems.theta.reshape(N * V, -1))
-        theta = wp.empty((rows.size, len(COLUMNS)), dtype=wp.float64, device=dev)
-        signals = put(signal)
-        table_row = put((problem * V + variant).astype(np.int32))
+        launch = partial(wp.launch, device="cpu")
+        table = to_warp(problems.theta.reshape(N * V, -1))
+        theta = zeros((rows.size, len(COLUMNS)))
+        signals = to_warp(signal)
+        table_row = to_warp((problem * V + variant).astype(np.int32))
         launch(whitening.expand, rows.size, [table, table_row, signals, *self._contexts], [theta])
-        angle: Any = wp.zeros((rows.size, int(self.length.max())), dtype=wp.float64, device=dev)
-        bases, scale = put(base), put(problems.scale[problem, variant])
+        angle = zeros((rows.size, int(self.length.max())))
+        bases, scale = to_warp(base), to_warp(problems.scale[problem, variant])
         shared = [bases, signals, self._length, self._weight]
 
         def run(substep: Array, selected: Index | None = None) -> None:
             latency, on = problems.theta[problem, variant, 2], active[problem, variant]
             longest = substep[problem, recording]
             inputs = on, latency, theta, signal, self._signals, longest, angle
-            if dev != "cpu":
-                return simulate(*inputs, selected)
             # Neighbouring rows take as long as each other: each thread has every second one.
             chosen = rows if selected is None else selected
             shares = [chosen[k :: self.threads] for k in range(self.threads)]
             list(workers(self.threads).map(lambda share: simulate(*inputs, share), shares))
 
         servos = variant == 0
-        long_steps = V > 1 and dev == "cpu"
+        long_steps = V > 1
         if known is None or not long_steps:
             run(fine, rows[servos] if long_steps else None)
         extras = []
@@ -236,23 +229,25 @@ class Batch:
             weighted = self._fetch(angle, first, count, recordings)
             at = self.first_signal[problems.joint][:, None] + np.arange(R)
             extras.append(weighted / self.weight[np.minimum(at, len(self.weight) - 1)])
-        layout = [put(first), put(recordings.astype(np.int32)), put(count), signals, self._length]
+        layout = [
+            to_warp(first),
+            to_warp(recordings.astype(np.int32)),
+            to_warp(count),
+            signals,
+            self._length,
+        ]
         noise_model = coefficients
         if noise_model is None:
-            products: Any = wp.zeros(
-                (N, self.lags + 1, self.lags + 1), dtype=wp.float64, device=dev
-            )
+            products = zeros((N, self.lags + 1, self.lags + 1))
             inputs = [*layout, self._counts, angle]
             launch(whitening.lag_products, products.shape[:2], inputs, [products])
             noise_model = autoregression(products.numpy(), self.least_gain)
         if self.slow is not None:
             self.slow.whiten(signals, angle)
         else:
-            noise = [put(problem.astype(np.int32)), signals, self._length, self._counts]
-            launch(whitening.whiten, rows.size, [*noise, put(noise_model), angle])
-        if keep:
-            extras.append(self._fetch(angle, first, count, recordings))
-        packed: Any = wp.zeros((N, R * size[0], (size[1] + 1) * V), dtype=wp.float64, device=dev)
+            noise = [to_warp(problem.astype(np.int32)), signals, self._length, self._counts]
+            launch(whitening.whiten, rows.size, [*noise, to_warp(noise_model), angle])
+        packed = zeros((N, R * size[0], (size[1] + 1) * V))
         launch(whitening.gram, packed.shape, [*layout, *size, angle], [packed])
         return (*_unpacked(packed.numpy(), size[1], count, order), noise_model, *extras)
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -22,7 +21,7 @@ from sim2real.arrays import Array, Index, Integers, Mask
 from sim2real.inference.correlated_noise import whitened
 from sim2real.servo.event_kernels import COUNTS, expect, run_filter
 from sim2real.servo.linearised import Modes
-from sim2real.servo.rollout import to_warp
+from sim2real.servo.rollout import to_warp, zeros
 
 
 @dataclass(frozen=True)
@@ -138,16 +137,16 @@ class EventFilter:
         rates = np.array([[x.loss, x.repeated_loss, x.delay_sd_s, x.correlation] for x in options])
         pool = 3 * width  # those kept, and two continuations of each
         joints = max(len(group) for group in self.groups)
-        results = _zeros((S, G)), _zeros((S, G, COUNTS)), _zeros((S, G, K), wp.int32)
+        results = zeros((S, G)), zeros((S, G, COUNTS)), zeros((S, G, K), wp.int32)
         scratch = [
-            _zeros((S * G, pool, joints * n)),
-            _zeros((S * G, pool, joints * n * (n + 1))),
-            _zeros((S * G, pool, COUNTS + 1)),
-            _zeros((S * G, pool, 2), wp.int32),
-            _zeros((S * G, K, width, 2), wp.int32),
+            zeros((S * G, pool, joints * n)),
+            zeros((S * G, pool, joints * n * (n + 1))),
+            zeros((S * G, pool, COUNTS + 1)),
+            zeros((S * G, pool, 2), wp.int32),
+            zeros((S * G, K, width, 2), wp.int32),
         ]
-        arrays = [to_warp(x, "cpu") for x in (*self._inputs, rates)]
-        settings = [*arrays, width, *scratch, to_warp(self._tolerance, "cpu"), *results]
+        arrays = [to_warp(x) for x in (*self._inputs, rates)]
+        settings = [*arrays, width, *scratch, to_warp(self._tolerance), *results]
         wp.launch(run_filter, (S, G), settings, device="cpu")
         value, counts, active = (x.numpy() for x in results)
 
@@ -176,19 +175,15 @@ class EventFilter:
         for row, some in zip(path, active, strict=True):
             row[: some.size] = some
         n, N = order + 3, len(channels)
-        mean, covariance = _zeros((rest.size,)), _zeros((N, 2, (p + 1) ** 2))
-        scratch = [_zeros((N, 1, n)), _zeros((N, 1, n * (n + 1)))]
+        mean, covariance = zeros((rest.size,)), zeros((N, 2, (p + 1) ** 2))
+        scratch = [zeros((N, 1, n)), zeros((N, 1, n * (n + 1)))]
         inputs = *self._inputs[:_MODEL], model, self._inputs[-1], path, rest
-        arrays = [to_warp(x, "cpu") for x in inputs]
+        arrays = [to_warp(x) for x in inputs]
         sizes = p, arrivals.delay_sd_s, arrivals.correlation
         wp.launch(expect, N, [*arrays, *sizes, *scratch, mean, covariance], device="cpu")
         parts = np.split(mean.numpy(), np.cumsum([channel.t.size for channel in channels])[:-1])
         sums = covariance.numpy().reshape(N, 2, p + 1, p + 1)
         return [Deviation(a, b) for a, b in zip(parts, sums, strict=True)]
-
-
-def _zeros(shape: tuple[int, ...], dtype: type = wp.float64) -> Any:  # noqa: ANN401
-    return wp.zeros(shape, dtype=dtype, device="cpu")
 
 
 def _innovations(channel: Channel) -> Array:

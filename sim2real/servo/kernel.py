@@ -8,7 +8,7 @@ from sim2real.effects import SIGNATURE
 from sim2real.effects.effect import F, Row, Table
 from sim2real.servo.effect_chain import FOLLOWING_BITS, arrival_time, measured_angle, shaft_inertia
 from sim2real.servo.gear_train import TRAIN_BITS, Train, sensed, train_at_rest, train_of
-from sim2real.servo.law import exact_motion, resting_angle, substep_of
+from sim2real.servo.law import resting_angle, substep_of
 from sim2real.servo.motor import MOTOR_BIT, read_motor
 from sim2real.servo.parameters import BASE, COLUMNS, HELD_CELL, LOAD_CELL, LOOP
 
@@ -223,50 +223,3 @@ KERNELS = {
     for effects, pairs in ((False, False), (False, True), (True, False))
 }
 """Kernels by whether servos may have effects and whether they are simulated in pairs."""
-
-
-@wp.kernel(enable_backward=False)
-def solve_servos(
-    theta: Table,
-    signal: wp.array(dtype=wp.int32),
-    times: Table,
-    command: Table,
-    length: wp.array(dtype=wp.int32),
-    position: Table,
-) -> None:
-    """Simulate linear servos without effects and pendulum, exactly between events."""
-    row = wp.tid()
-    p = theta[row]
-    t = times[signal[row]]
-    sent = command[signal[row]]
-    samples = length[signal[row]]
-    zero = wp.float64(0.0)
-    kp = wp.float64(p[0])
-    kd = wp.float64(p[1])
-    u = wp.float64(sent[0])
-    state = wp.vec4d(u, zero, zero, zero)
-    clock = wp.float64(t[0])
-    sample = int(0)
-    arrival = int(1)
-    while sample < samples:
-        if arrival < samples and sent[arrival] == sent[arrival - 1]:
-            arrival += 1  # the set-point does not change
-            continue
-        until = wp.float64(t[sample])
-        arrived = int(0)
-        if arrival < samples and t[arrival] + p[2] <= until:
-            until = t[arrival] + p[2]
-            arrived = int(1)
-        if until > clock:
-            state = exact_motion(state, u, until - clock, kp, kd, p[3])
-            clock = until
-        if arrived == 1:
-            u = sent[arrival]
-            arrival += 1
-            if wp.isnan(u):
-                kp = zero
-                kd = zero
-                u = zero
-        else:
-            position[row, sample] = state[0]
-            sample += 1

@@ -149,39 +149,3 @@ def resting_angle(u: F, kp: F, gravity: F, torque: F) -> F:
             balance = kp * (u - q) + torque - gravity * wp.sin(q)
             q += balance / (kp + wp.abs(gravity * wp.cos(q)))
     return q
-
-
-@wp.func
-def free_motion(a: F, w2: F, h: F) -> wp.vec2d:
-    """Decaying cosine and sine of y'' + 2 a y' + w2 y = 0 after h seconds: C and S.
-
-    y(h) = (C + a S) y(0) + S y'(0), for any damping.
-    """
-    s2 = a * a - w2
-    if s2 < wp.float64(0.0):
-        w = wp.sqrt(-s2)
-        decay = wp.exp(-a * h)
-        return wp.vec2d(decay * wp.cos(w * h), decay * wp.sin(w * h) / w)
-    s = wp.sqrt(s2)
-    if s * h < wp.float64(1e-4):
-        decay = wp.exp(-a * h)
-        return wp.vec2d(decay, decay * h)
-    slow = wp.exp(-w2 / (a + s) * h)  # a - s, without cancellation
-    fast = wp.exp(-(a + s) * h)
-    return wp.vec2d(wp.float64(0.5) * (slow + fast), wp.float64(0.5) * (slow - fast) / s)
-
-
-@wp.func
-def exact_motion(state: wp.vec4d, u: F, h: F, kp: F, kd: F, inertia: F) -> wp.vec4d:
-    """Advance (q, v) of a linear servo without effects and pendulum by any h.
-
-    The matrix exponential of a second-order system: Astrom and Wittenmark, Computer-Controlled
-    Systems (Prentice Hall, 1997), ch. 2.
-    """
-    a = wp.float64(0.5) * kd / inertia
-    w2 = kp / inertia
-    free = free_motion(a, w2, h)
-    y = state[0] - u
-    v = (free[0] - a * free[1]) * state[1] - w2 * free[1] * y
-    q = u + (free[0] + a * free[1]) * y + free[1] * state[1]
-    return wp.vec4d(q, v, kp * (u - q) - kd * v, wp.float64(0.0))

@@ -17,46 +17,38 @@ from sim2real.servo.rollout import longest_substep, rollout_on
 from sim2real.servo.trace import Trace
 
 _APART = 0.03
-WINDOW_S, ORDER = 0.18, 3
-"""Length and order of the smoothing local polynomials."""
 
 
 def residual_torque(
-    t: Array, residual: Array, servo: tuple[float, float, float], noise_rad: float
+    t: Array,
+    residual: Array,
+    servo: tuple[float, float, float],
+    noise_rad: float,
+    *,
+    window_s: float = 0.18,
+    degree: int = 3,
 ) -> tuple[Array, Array]:
     """Torque in N m to add to the model so that it follows the measurement, and its sd, both (T,).
 
     ``-(inertia r'' + kd r' + stiffness r)``, r the simulated minus measured angle in rad (T,), NaN
     where none was measured, smoothed by local polynomials: Savitzky, Golay, Analytical Chemistry 36
     (1964) 1627-1639. ``servo``: inertia in kg m2, kd in N m s/rad, and stiffness (kp and the
-    weight's) in N m/rad; ``noise_rad``: standard deviation of the measurement noise.
+    weight's) in N m/rad; ``noise_rad``: standard deviation of the measurement noise;
+    ``window_s``, ``degree``: of the polynomials.
     """
     step = float(np.median(np.diff(t)))
-    length = _length(step, t.size)
+    half = max(2, round(window_s / step / 2))
+    length = int(min(2 * half + 1, t.size - 1 + t.size % 2))
     grid = t[0] + step * np.arange(int(round((t[-1] - t[0]) / step)) + 1)
     measured = np.isfinite(residual)
     resampled = np.interp(grid, t[measured], residual[measured])
     torque: Array = np.zeros(grid.size)
     taps: Array = np.zeros(length)
     for order, weight in zip((2, 1, 0), servo, strict=True):
-        torque -= weight * savgol_filter(resampled, length, ORDER, deriv=order, delta=step)
-        taps += weight * savgol_coeffs(length, ORDER, deriv=order, delta=step)
+        torque -= weight * savgol_filter(resampled, length, degree, deriv=order, delta=step)
+        taps += weight * savgol_coeffs(length, degree, deriv=order, delta=step)
     sd = noise_rad * float(np.sqrt(np.sum(taps**2)))
     return np.interp(t, grid, torque), np.full(t.size, sd)
-
-
-def smooth_speed(t: Array, position: Array) -> Array:
-    """Speed in rad/s by local polynomials, shape (T,), of angles with NaN where missing."""
-    step = float(np.median(np.diff(t)))
-    measured = np.isfinite(position)
-    resampled = np.interp(t, t[measured], position[measured])
-    length = _length(step, t.size)
-    return np.asarray(savgol_filter(resampled, length, ORDER, deriv=1, delta=step))
-
-
-def _length(step: float, samples: int) -> int:
-    half = max(2, round(WINDOW_S / step / 2))
-    return int(min(2 * half + 1, samples - 1 + samples % 2))
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,9 @@ BASE = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s", "inertia_kgm2", "gravity
 LINE = ("motor.stall_torque_Nm", "motor.no_load_speed_rad_s")
 """A motor's torque-speed line."""
 CURRENT_LIMIT = "torque_saturation.limit_Nm"
-RATE_LIMIT = "rate_limit.limit_rad_s"
 """Largest torque of the motor at any speed, where its current is limited below that at stall."""
+RATE_LIMIT = "rate_limit.limit_rad_s"
+"""Largest speed of set-points inside the servo."""
 ROTOR = "motor.rotor_inertia_kgm2"
 LOSSES = (
     "motor.resistance_rise",

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sim2real.arrays import Array, Index, Integers
 from sim2real.effects import CATALOGUE
 from sim2real.recording import Load, VaryingLoad
-from sim2real.servo.kernel import KERNELS, solve_servos
+from sim2real.servo.kernel import KERNELS
 from sim2real.servo.motor import MOTOR_BIT
 from sim2real.servo.parameters import (
     BASE,
@@ -163,29 +163,17 @@ class Simulator:
         self._factor, self._offset = trace_contexts(traces)
         if add_loads:
             self._factor[:, _LOAD] = 1.0
-        self._signals = [to_warp(x, "cpu") for x in signals]
-        self.position, self.length = to_warp(position, "cpu"), self._signals[2]
+        self._signals = [to_warp(x) for x in signals]
+        self.position, self.length = to_warp(position), self._signals[2]
         self._pool = workers(threads)
-
-    def is_linear(self, theta: Array) -> bool:
-        """Whether servos (B, P) have an exact solution: no effect, no pendulum, constant load."""
-        constant = all(trace.varying is None for trace in self.traces)
-        return constant and not theta[:, len(BASE) :].any() and not self._load[:, 1].any()
 
     def substeps(
         self,
         theta: Array,
         steps_per_radian: float = STEPS_PER_RADIAN,
         longest_s: float = LONGEST_SUBSTEP_S,
-        *,
-        exact: bool | None = None,
     ) -> Array:
-        """Sub-step in s for each of the servos (B, P), shape (B,), infinite for exact solutions.
-
-        ``exact``: whether to solve exactly; by default if all servos are linear.
-        """
-        if self.is_linear(theta) if exact is None else exact:
-            return np.full(len(theta), np.inf)
+        """Sub-step in s for each of the servos (B, P), shape (B,)."""
         inertia = self._load[:, 0, None]
         least: Array = longest_substep(theta, inertia, steps_per_radian, longest_s).min(axis=0)
         return least
@@ -193,7 +181,7 @@ class Simulator:
     def angles(self, theta: Array, substep_s: float | Array) -> list[Array]:
         """Angles in rad of servos (B, P) with the load of each recording, one array (B, T) each.
 
-        ``substep_s``: longest sub-step, a number or (B,); if it is infinite, all must be linear.
+        ``substep_s``: longest sub-step, a number or (B,).
         """
         substeps = np.broadcast_to(substep_s, len(theta))
         S = len(self.traces)
@@ -207,23 +195,14 @@ class Simulator:
 
     def run(self, theta: Array, substep_s: float | Array) -> Any:  # noqa: ANN401 - Warp has no stubs
         """Angles as a Warp array (B * S, T), one row per servo and recording, see ``angles``."""
-        exact = bool(np.isinf(substep_s).all())
-        if exact and not self.is_linear(theta):
-            raise ValueError("no exact solution with effects, a pendulum or a varying load")
         S = len(self.traces)
         rows = (theta[:, None] * self._factor + self._offset).reshape(-1, theta.shape[1])
         signal = np.tile(np.arange(S, dtype=np.int32), theta.shape[0])
         T = self._signals[0].shape[1]
         angle: Any = wp.empty((len(rows), T), dtype=wp.float64, device="cpu")
-        servos = to_warp(rows, "cpu")
-        if exact:
-            inputs = [servos, to_warp(signal, "cpu"), *self._signals[:3]]
-            wp.launch(solve_servos, dim=len(rows), inputs=inputs, outputs=[angle], device="cpu")
-        else:
-            longest = np.repeat(np.broadcast_to(substep_s, len(theta)), S)
-            simulate(
-                active_effects(rows), rows[:, 2], servos, signal, self._signals, longest, angle
-            )
+        servos = to_warp(rows)
+        longest = np.repeat(np.broadcast_to(substep_s, len(theta)), S)
+        simulate(active_effects(rows), rows[:, 2], servos, signal, self._signals, longest, angle)
         return angle
 
 
@@ -251,29 +230,32 @@ def simulate(
     out: Any,  # noqa: ANN401
     rows: Index | None = None,
 ) -> None:
-    """Launch N rollouts; on the CPU, those without effects and with the same events in pairs.
+    """Launch N rollouts; those without effects and with the same events in pairs.
 
     Of each, (N,): its ``active_effects``, latency in s, index in ``signals``, the Warp arrays of
     ``padded``, and ``longest`` sub-step in s. Parameters are a Warp array (N, P), the angles in rad
     are written to ``out`` (N, T). ``rows`` (M,) are those to simulate; all by default.
     """
-    N, device = signal.size, str(out.device)
-    effects = bool(np.any(active & ~MOTOR_BIT))
-    pairs = device == "cpu" and not effects
+    N, effects = signal.size, bool(np.any(active & ~MOTOR_BIT))
+    pairs = not effects
     order = np.arange(N) if rows is None else rows
     if pairs:
         order = order[np.lexsort((latency[order], longest[order], signal[order]))]
-    memory = wp.zeros((N, CELLS), dtype=wp.float64, device=device)
-    mask = wp.from_numpy(np.ascontiguousarray(active), dtype=wp.int64, device=device)
+    mask = wp.from_numpy(np.ascontiguousarray(active), dtype=wp.int64, device="cpu")
     rows_at_once, launches = (order.size, 1) if pairs else (1, order.size)
-    places = [to_warp(x, device) for x in (signal, order.astype(np.int32))]
-    inputs = [theta, mask, memory, *places, rows_at_once, *signals, to_warp(longest, device)]
-    wp.launch(KERNELS[effects, pairs], launches, inputs, [out], device=device)
+    places = [to_warp(x) for x in (signal, order.astype(np.int32))]
+    inputs = [theta, mask, zeros((N, CELLS)), *places, rows_at_once, *signals, to_warp(longest)]
+    wp.launch(KERNELS[effects, pairs], launches, inputs, [out], device="cpu")
 
 
-def to_warp(values: NDArray[Any], device: str) -> Any:  # noqa: ANN401 - Warp has no stubs
-    """A copy as a Warp array of int32 or float64 on a device."""
+def to_warp(values: NDArray[Any]) -> Any:  # noqa: ANN401 - Warp has no stubs
+    """A copy as a Warp array of int32 or float64."""
     integers = values.dtype == np.int32
     copied = np.array(values, dtype=np.int32 if integers else np.float64, order="C")
     kind = wp.int32 if integers else wp.float64
-    return wp.array(copied, dtype=kind, device=device, copy=False)  # Warp's own copy costs more
+    return wp.array(copied, dtype=kind, device="cpu", copy=False)  # Warp's own copy costs more
+
+
+def zeros(shape: tuple[int, ...], dtype: type = wp.float64) -> Any:  # noqa: ANN401
+    """A Warp array of zeros."""
+    return wp.zeros(shape, dtype=dtype, device="cpu")

@@ -18,14 +18,14 @@ from scipy.optimize import minimize
 from sim2real.arrays import Array
 from sim2real.inference.correlated_noise import SlowErrors
 from sim2real.servo import whitening
-from sim2real.servo.rollout import padded, to_warp
+from sim2real.servo.rollout import padded, to_warp, zeros
 from sim2real.servo.trace import Trace
 
 
 class SlowNoise:
-    """The noise of traces, each with its slow errors, on a device."""
+    """The noise of traces, each with its slow errors."""
 
-    def __init__(self, traces: Sequence[Trace], device: str = "cpu") -> None:
+    def __init__(self, traces: Sequence[Trace]) -> None:
         (_, _, length, *_), position, _ = padded(traces)
         self.weight, speed = np.ones(position.shape), np.zeros(position.shape)
         for s, trace in enumerate(traces):
@@ -33,13 +33,13 @@ class SlowNoise:
             speed[s, : trace.t.size] = trace.speed()
         process = np.array([trace.slow.process(trace.period_s) for trace in traces if trace.slow])
         arrays = length, position, self.weight, speed, process
-        self.device, self._inputs = device, [to_warp(x, device) for x in arrays]
+        self._inputs = [to_warp(x) for x in arrays]
 
     def whiten(self, signal: Any, angle: Any) -> Any:  # noqa: ANN401 - Warp has no stubs
         """Whiten weighted rows (N, T) of traces (N,); sums of logarithms of variances, (N,)."""
-        logarithm: Any = wp.zeros(len(signal), dtype=wp.float64, device=self.device)
+        logarithm = zeros((len(signal),))
         inputs = [signal, *self._inputs, angle, logarithm]
-        wp.launch(whitening.whiten_slow, len(signal), inputs, device=self.device)
+        wp.launch(whitening.whiten_slow, len(signal), inputs, device="cpu")
         return logarithm
 
 
@@ -52,12 +52,12 @@ def slow_errors(
     being the standard deviation of the logarithm.
     """
     usual = np.array(astuple(SlowErrors(noise_rad))[1:])
-    signal = to_warp(np.arange(len(traces), dtype=np.int32), "cpu")
+    signal = to_warp(np.arange(len(traces), dtype=np.int32))
 
     def loss(change: Array) -> float:
         slow = SlowErrors(noise_rad, *(usual * np.exp(change)).tolist())
         noise = SlowNoise([replace(trace, slow=slow) for trace in traces])
-        angle = to_warp(residual[: len(traces)] * noise.weight, "cpu")
+        angle = to_warp(residual[: len(traces)] * noise.weight)
         logarithms = noise.whiten(signal, angle).numpy()
         energy = float(np.sum(angle.numpy() ** 2)) / noise_rad**2
         return 0.5 * float(energy + logarithms.sum() + np.sum(change**2) / log_sd**2)

@@ -114,6 +114,10 @@ class Trace:
         padded = np.pad(np.gradient(angle, self.t), samples // 2, mode="edge")
         return np.convolve(padded, np.full(samples, 1 / samples), mode="valid")
 
+    def simulated(self, error: Array) -> Array:
+        """Simulated angle in rad from its errors at used samples, between these linear, (T,)."""
+        return np.interp(self.t, self.t[self.used], self.position[self.used] + error)
+
     def quantization_step(self) -> float:
         """Step on which the used angles lie, in rad; 0 if there is none."""
         return quantization_step(self.measured)

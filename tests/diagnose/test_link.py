@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 from sim2real.diagnose.angle_noise import with_noise
-from sim2real.diagnose.link_effect import EFFECTS, MOST_LAGS, LinkData, fitted, link_of
+from sim2real.diagnose.link_effect import EFFECTS, MOST_LAGS, fitted, link_of
 from sim2real.recording import Load
 from sim2real.servo.event_filter import Arrivals, Channel, EventFilter, propagator
 from sim2real.servo.linearised import Residual, gain_derivatives, servo_modes
@@ -139,11 +139,11 @@ def test_tells_them_apart():
 
 def test_a_link_says_which_and_on_which_joints():
     quiet = recording(20, scale=0.0)[0]
-    jitter = link_of(LinkData(((recording(5, jitter=0.008)[0],), (quiet,)), LAGS, LEAST_GAIN, 10.0))
+    jitter = link_of([[recording(5, jitter=0.008)[0]], [quiet]], LAGS, LEAST_GAIN, 10.0)
     assert jitter.effect == "latency_jitter"
     assert jitter.shares[0] > 25
     assert jitter.shares[1] < 4
-    nothing = link_of(LinkData(((quiet,),), LAGS, LEAST_GAIN, 10.0))
+    nothing = link_of([[quiet]], LAGS, LEAST_GAIN, 10.0)
     assert nothing.gain == 0
 
 

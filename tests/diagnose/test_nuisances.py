@@ -121,7 +121,7 @@ def lined(stall_Nm):
         angle = rollout(theta[None], bare.t, bare.command)[0]
         traces.append(replace(bare, position=angle + rng.normal(0, NOISE, angle.size)))
     servo = Servo("s", 1.05 * stall_Nm, 21.0, 0.0)
-    (joint,), _ = _first_look([JointCase("j1", traces, NOISE, None, servo=servo)], rng, "cpu")
+    (joint,), _ = _first_look([JointCase("j1", traces, NOISE, None, servo=servo)], rng)
     return joint.model.motor if joint.model else None
 
 

@@ -43,8 +43,8 @@ def covariance(trace):
 def test_innovations_have_the_density_of_their_covariance(noisy):
     trace, residual = noisy
     noise = SlowNoise([trace])
-    angle = to_warp(np.where(trace.used, residual, 0.0)[None] * noise.weight, "cpu")
-    logarithm = noise.whiten(to_warp(np.zeros(1, dtype=np.int32), "cpu"), angle).numpy()[0]
+    angle = to_warp(np.where(trace.used, residual, 0.0)[None] * noise.weight)
+    logarithm = noise.whiten(to_warp(np.zeros(1, dtype=np.int32)), angle).numpy()[0]
     found = np.sum(angle.numpy() ** 2) / SLOW.noise_rad**2 + logarithm
     scale = (SLOW.noise_rad * trace.spread[trace.used]) ** 2
     dense = covariance(trace)[np.ix_(trace.used, trace.used)]
