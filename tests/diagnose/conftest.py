@@ -13,7 +13,7 @@ from sim2real.diagnose.result import Diagnosis
 
 @pytest.fixture(scope="session")
 def nothing() -> Searched:
-    return searched()
+    return searched(seconds=12.0)
 
 
 @pytest.fixture(scope="session")
