@@ -16,7 +16,7 @@ with all the noise that its generator adds, and has a data sheet that is off by 
 Parameters count that both the plant and the model have. A stopped run with ``--out`` goes on.
 
 Swims are those of ``yardstick_cases.twin_swim``: robots of a law of their own, an effect or two
-hidden in three of four, calibrated in turn with gains that a bench leaves 5 % off and with fitted
+hidden in three of four, calibrated in turn with gains that a bench leaves 12 % off and with fitted
 gains.
 """
 

@@ -31,6 +31,7 @@ from sim2real.servo.parameters import (
     TRAIN_ROTORS,
     TRAINS,
 )
+from sim2real.units import unit_of
 
 _COULOMB = "coulomb_friction"
 _RUB, _SPRING = FIRST_COLUMN[_COULOMB], FIRST_COLUMN["compliance"]
@@ -53,10 +54,11 @@ _WIDTHS = 0.7, 0.35, 0.35, 0.15
 _SCALES = [
     k
     for k, name in enumerate(COLUMNS)
-    if k in TRAIN_ROTORS
-    or ("Nm" in name.replace("per_Nm", "") and (k < 2 or k >= FIRST_EFFECT_COLUMN))
+    if k < 2
+    or k in TRAIN_ROTORS
+    or (k >= FIRST_EFFECT_COLUMN and unit_of(name.partition(".")[2]).startswith("N m"))
 ]
-"""Columns of torques and of rotors, which are in proportion to the inertia."""
+"""Columns of gains, torques and rotors, which are in proportion to the inertia."""
 
 
 def try_gear_trains(problem: ServoSearch, cases: Sequence[Tried]) -> None:

@@ -90,7 +90,7 @@ def identify(
         place = f"{recorded[0]}.position_rad"
         found, expected = "no motion", "commands and angles that change"
         raise InputError(recordings[0].file, place, found, expected)
-    options = _Options(tuple(extra), effort, interval, refit, bool(warnings), set_points=not extra)
+    options = _Options(tuple(extra), effort, interval, refit, bool(warnings))
 
     def identify_joint(joint: str) -> tuple[JointModel, dict[str, float | None], str]:
         data, notes = traces(recordings, joint), []
@@ -118,7 +118,7 @@ def identify(
 def fitted_joint(data: list[Trace], servo: Servo | None, seed: int = 0) -> JointModel:
     """The model of one joint from all its recordings, without intervals and notes."""
     sheet = servo if servo is not None and servo.states(*MOTOR_SHEET) else None
-    found = _fits(data, sheet, _Options(set_points=True), seed)
+    found = _fits(data, sheet, _Options(), seed)
     return _joint_model(found, {}, None, data[0].load, ())
 
 
@@ -159,7 +159,6 @@ class _Options:
     interval: float = LEVEL
     refit: bool = True
     warned: bool = False
-    set_points: bool = False
 
 
 @dataclass(frozen=True)
@@ -196,7 +195,7 @@ def _fits(
         losses = not effects or data[0].varying is None
         fewer = None if before is None else before.motor
         motor = choose_motor(
-            data, plain, servo, rng, losses=losses, set_points=options.set_points, before=fewer
+            data, plain, servo, rng, losses=losses, set_points=not effects, before=fewer
         )
     base = best = motor if motor is not None and BASE[0] in motor.names else plain
     if effects:
