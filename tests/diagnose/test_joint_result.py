@@ -1,23 +1,20 @@
-"""A joint's results: coarse sensors, gaps and gear trains, filters that may exchange parameters."""
+"""A joint's results: coarse sensors, gaps, filters that may exchange parameters."""
 
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import simulated
 from simulated import LATENCY, column, recording, robot, row, traced
 
 from sim2real.diagnose.case import coarse_step
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.diagnose import diagnose
 from sim2real.diagnose.joint_result import distinctness, exchangeable_ends, law_error, partner
-from sim2real.diagnose.rattle import rattle, rattles
 from sim2real.diagnose.result import Estimate
 from sim2real.diagnose.servo_search import ServoSearch, baselines, plain_sets
 from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import COLUMNS
-from sim2real.servo.trace import trace
 
 FILTERS = ("command_filter", "sensor_filter")
 STATED = 0.00419
@@ -122,56 +119,3 @@ def test_intervals_of_another_probability_keep_their_sides():
     assert (wider.q05, wider.q95) == (0.0, 2.0)
     narrower = Estimate(-1.0, 0.4, -1.5, -0.2).widened(0.5)
     assert (narrower.q05, narrower.q95) == (-1.25, -0.6)
-
-
-NOISE, PERIOD = simulated.NOISE, 0.02
-STILL = simulated.recording(seconds=30.0, command=lambda t: 0.0 * t)
-
-
-@pytest.mark.parametrize(("on_output", "restitution"), [(0.0, 0.0), (1.0, 0.6)])
-def test_a_gap_is_found_behind_friction_on_either_side(on_output, restitution):
-    """The stated load is that of the output; friction holds it in the gap, flanks may rebound."""
-    play = {
-        "gap_rad": 0.04, "rotor_inertia_kgm2": 4e-4, "output_friction_Nm": 0.04,
-        "control_on_output": on_output, "restitution": restitution,
-    }  # fmt: skip
-    found = diagnose(
-        [simulated.recording(k, f"{k}", seconds=12.0, noise=5e-4, backlash=play) for k in (1, 2)],
-        simulated.robot("j1"),
-    )
-    named = found.effects[0]
-    assert "backlash" in named.group
-    gap = named.parameters["gap_rad"].mean
-    assert gap == pytest.approx(0.04, rel=0.25)
-
-
-def rattling(frequency_Hz, seed, rms=2 * NOISE):
-    """White noise, and a wave whose phase wanders."""
-    rng = np.random.default_rng(seed)
-    t = STILL.t
-    phase = 2 * np.pi * frequency_Hz * t + np.cumsum(rng.normal(0.0, 0.2, t.size))
-    return rng.normal(0.0, NOISE, t.size) + np.sqrt(2) * rms * np.sin(phase)
-
-
-def test_a_rattle_is_located_and_its_size_is_that_of_the_wave():
-    found = rattle([STILL.t] * 2, [rattling(9.0, seed) for seed in (0, 1)])
-    assert found.frequency_Hz == pytest.approx(9.0, abs=0.6)
-    assert found.sd_rad == pytest.approx(2 * NOISE, rel=0.2)
-    assert "near" in str(found) and "gap of" in str(found)
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_white_noise_and_slow_residuals_do_not_rattle(seed):
-    rng = np.random.default_rng(seed)
-    white = [rng.normal(0.0, NOISE, STILL.t.size) for _ in range(2)]
-    assert rattle([STILL.t] * 2, white) is None
-    decaying = [np.convolve(x, np.exp(-PERIOD * np.arange(40) / 0.1))[: x.size] for x in white]
-    assert rattle([STILL.t] * 2, decaying) is None
-
-
-def test_what_all_joints_have_is_a_vibration_of_the_bench():
-    one = trace(STILL, "j1")
-    shared = np.array([[rattling(9.0, 0)], [rattling(9.0, 1)], [rattling(14.0, 2)]])
-    found = rattles([[one]] * 3, shared)
-    assert found[:2] == [None, None]
-    assert found[2].frequency_Hz == pytest.approx(14.0, abs=0.6)
