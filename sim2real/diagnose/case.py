@@ -106,7 +106,8 @@ def prepared(case: Case) -> list[JointCase]:
             continue
         check_runs(data, joint.name)
         noise = rest_noise(data)
-        if data[0].spread is not None and not case.references:
+        polled = data[0].period_s > DECISION.change.slow_sampling_s
+        if (polled or data[0].spread is not None) and not case.references:
             data = [replace(trace, slow=SlowErrors(noise)) for trace in data]
         joints.append(
             JointCase(

@@ -44,7 +44,7 @@ from sim2real.servo.parameters import (
 Job = tuple[Tried, Set, Array]
 """What was tried on a joint, the set of effects to refit, and the parameters to start from."""
 
-_GAIN = "sensor_gain"
+_GAIN, _DRIFT = "sensor_gain", "clock_drift"
 _GAP = FIRST_COLUMN["backlash"]
 _TRAINS = {name: (FIRST_COLUMN[name], 1e-3 * named(name).parameters[0].typical) for name in TRAINS}
 """Columns of the sizes of gear trains, and sizes from which on they are there."""
@@ -95,13 +95,25 @@ class ServoSearch:
         return self._screens[tried.case, members]
 
     def look(self, pairs: Sequence[tuple[Tried, Set]]) -> None:
-        """Screen all other effects from each of these sets; sets of one size share a launch."""
+        """Screen all other effects from each of these sets; sets of one size share a launch.
+
+        Readings that are sampled slowly are those of the last poll, whose age slips by up to a
+        period and jumps back: no drift of a clock is told from that.
+        """
         new = {
             (tried.case, s): (tried, s)
             for tried, s in pairs
             if (tried.case, s) not in self._screens
         }
-        lists = [candidates(s, *self.strength(tried)) for tried, s in new.values()]
+        polled = self.batch.period > DECISION.change.slow_sampling_s
+        lists = [
+            [
+                one
+                for one in candidates(s, *self.strength(tried))
+                if not (polled and one.effect.name == _DRIFT)
+            ]
+            for tried, s in new.values()
+        ]
         screens = self.screened([(tried, tried.tried[s]) for tried, s in new.values()], lists)
         self._screens.update(zip(new, zip(screens, lists, strict=True), strict=True))
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated import NOISE, traced
+from simulated import NOISE, recording, robot, traced
 
-from sim2real.diagnose.case import JointCase, on_one_clock
+from sim2real.diagnose.case import Case, JointCase, batch_of, on_one_clock, prepared
 from sim2real.diagnose.reading_noise import (
     jitter_s,
     left_out,
@@ -14,7 +14,7 @@ from sim2real.diagnose.reading_noise import (
     with_reading_noise,
     without_releases,
 )
-from sim2real.diagnose.servo_search import baselines, plain_sets
+from sim2real.diagnose.servo_search import ServoSearch, baselines, plain_sets
 from sim2real.servo.batch import Batch
 
 JITTER_S = 2.5e-3
@@ -105,3 +105,15 @@ def test_each_recording_has_a_drift_of_its_own():
 def test_clocks_that_run_apart_are_left_alone():
     now, _ = moved((3e-4, 3e-4))
     assert not now.any()
+
+
+@pytest.mark.parametrize("every, polled", [(1, False), (5, True)])
+def test_the_age_of_polled_readings_slips_as_clocks_that_run_apart_do(every, polled):
+    whole = recording(1)
+    thinned = {name: getattr(whole, name)[::every] for name in ("t", "command", "position")}
+    (joint,) = prepared(Case([replace(whole, **thinned)], robot("j1")))
+    assert (joint.traces[0].slow is not None) == polled
+    batch = batch_of([joint])
+    (tried,) = plain_sets(baselines(batch))
+    _, options = ServoSearch(batch, 0.01, np.random.default_rng(0)).seen(tried, frozenset())
+    assert ("clock_drift" not in {one.effect.name for one in options}) == polled
