@@ -193,7 +193,7 @@ def examined(
             after=after[j],
             least_squares=robust[j],
             robust=_robust(joints[j], as_read[j], one.offered) if one.adds_effects else robust[j],
-            identified=_identified(joints[j], one, seed),
+            identified=_identified(joints[j], recorded[j].traces, one, seed),
         )
         for j, one in enumerate(found)
     ]
@@ -295,19 +295,19 @@ def _robust(
 
 
 def _identified(
-    joint: JointCase, found: JointFindings, seed: int
+    joint: JointCase, recorded: list[Trace], found: JointFindings, seed: int
 ) -> tuple[JointModel, Unseen] | None:
     """The servo as ``identify`` fits it, and its errors on held-out data, where these are smaller.
 
-    None where what is offered leaves little more than noise. Errors of the angle itself are
-    compared where lasting ones are a part of the noise.
+    None where what is offered leaves little more than noise. Where lasting errors are a part of the
+    noise, which no search can tell from physics, what is offered must clearly predict better.
     """
     offered, lasting = found.unseen.get(found.offered.members), joint.traces[0].slow is not None
     if joint.references or joint.base or offered is None:
         return None
     if not lasting and offered.error < ABOVE_NOISE * joint.noise:
         return None
-    model = fitted_joint(joint.traces, joint.servo, seed)
+    model = fitted_joint(recorded, joint.servo, seed)
     row = joint_row(model, joint.traces[0].load)
     present = np.flatnonzero(row[:FIRST_EFFECT_COLUMN] != 0)
     columns = np.array([c for c in present if COLUMNS[c] not in _GIVEN], dtype=np.int32)
@@ -316,5 +316,8 @@ def _identified(
     (unseen,) = held_out([joint.traces], [start])
     if unseen is None:
         return None
-    ratio = unseen.rmse / offered.rmse if lasting else unseen.error / offered.error
-    return (model, unseen) if ratio < 1 - DECISION.min_improvement else None
+    if lasting:
+        chosen = not offered.clearly_better(unseen)
+    else:
+        chosen = unseen.error < (1 - DECISION.min_improvement) * offered.error
+    return (model, unseen) if chosen else None

@@ -48,6 +48,18 @@ class Unseen:
         """Root mean square of the standardised error in rad."""
         return rms(self.standardised or self.residuals)
 
+    def clearly_better(self, other: Unseen) -> bool:
+        """Whether errors are smaller than another servo's by more than a standard error over folds.
+
+        The one-standard-error rule for the simpler of two models: Hastie, Tibshirani, Friedman, The
+        Elements of Statistical Learning, 2nd ed. (Springer 2009), section 7.10.
+        """
+        gains = [
+            np.log(rms([theirs]) / rms([own]))
+            for own, theirs in zip(self.residuals, other.residuals, strict=True)
+        ]
+        return bool(np.mean(gains) > np.std(gains) / np.sqrt(max(len(gains) - 1, 1)))
+
 
 def folds(traces: Sequence[Trace]) -> list[tuple[list[Trace], list[Trace]]]:
     """Pairs of traces to fit and to score, which differ in the samples that are ``used``.

@@ -116,9 +116,12 @@ def identify(
 
 
 def fitted_joint(data: list[Trace], servo: Servo | None, seed: int = 0) -> JointModel:
-    """The model of one joint from all its recordings, without intervals and notes."""
+    """The model of one joint as of ``identify``, without intervals and notes."""
     sheet = servo if servo is not None and servo.states(*MOTOR_SHEET) else None
-    found = _fits(data, sheet, _Options(), seed)
+    fitted, scored, _ = split(data, None)
+    found = _fits(fitted, sheet, _Options(), seed)
+    if scored:
+        found = _fits(data, sheet, _Options(), seed, found)
     return _joint_model(found, {}, None, data[0].load, ())
 
 

@@ -11,7 +11,7 @@ from sim2real.diagnose.screening import Screen, candidate, screen
 from sim2real.diagnose.servo_search import baselines
 from sim2real.diagnose.wording import detection_limits
 from sim2real.effects import named
-from sim2real.identification.held_out import FOLDS, folds, held_out
+from sim2real.identification.held_out import FOLDS, Unseen, folds, held_out
 from sim2real.servo.batch import Batch
 
 
@@ -52,6 +52,18 @@ def test_parameters_never_see_what_they_are_scored_on(three, start, count):
     np.testing.assert_array_equal(clean.theta[0], dirty.theta[0])
     assert np.std(dirty.residuals[0]) > 0.05, "it is scored there"
     assert np.abs(clean.theta[1:] - dirty.theta[1:]).max() > 1e-6, "the other folds do see it"
+
+
+@pytest.mark.parametrize("sizes, clearly", [((0.9, 0.8, 0.9), 1), ((0.5, 1.1, 1.1), 0)])
+def test_a_servo_is_clearly_better_if_most_folds_say_so(sizes, clearly):
+    """The second is better by as much in the mean, but only in one fold."""
+    usual, other = (
+        Unseen(tuple(np.full(9, x) for x in some), np.zeros(3)) for some in ((1.0,) * 3, sizes)
+    )
+    assert other.rmse < usual.rmse
+    assert other.clearly_better(usual) == clearly
+    assert not usual.clearly_better(other)
+    assert not usual.clearly_better(usual)
 
 
 def test_the_right_servo_leaves_noise(three, start):
