@@ -300,7 +300,8 @@ def _identified(
     """The servo as ``identify`` fits it, and its errors on held-out data, where these are smaller.
 
     None where what is offered leaves little more than noise. Where lasting errors are a part of the
-    noise, which no search can tell from physics, what is offered must clearly predict better.
+    noise, which no search can tell from physics, it is kept unless the offered clearly predicts
+    better.
     """
     offered, lasting = found.unseen.get(found.offered.members), joint.traces[0].slow is not None
     if joint.references or joint.base or offered is None:
@@ -317,7 +318,7 @@ def _identified(
     if unseen is None:
         return None
     if lasting:
-        chosen = not offered.clearly_better(unseen)
+        chosen = not offered.clearly_better(unseen, DECISION.negligible)
     else:
         chosen = unseen.error < (1 - DECISION.min_improvement) * offered.error
     return (model, unseen) if chosen else None

@@ -48,17 +48,19 @@ class Unseen:
         """Root mean square of the standardised error in rad."""
         return rms(self.standardised or self.residuals)
 
-    def clearly_better(self, other: Unseen) -> bool:
-        """Whether errors are smaller than another servo's by more than a standard error over folds.
+    def clearly_better(self, other: Unseen, least: float) -> bool:
+        """Whether errors are below another servo's by a share ``least`` and a standard error.
 
-        The one-standard-error rule for the simpler of two models: Hastie, Tibshirani, Friedman, The
-        Elements of Statistical Learning, 2nd ed. (Springer 2009), section 7.10.
+        The standard error is that over the folds, as in the one-standard-error rule for the simpler
+        of two models: Hastie, Tibshirani, Friedman, The Elements of Statistical Learning, 2nd ed.
+        (Springer 2009), section 7.10.
         """
         gains = [
             np.log(rms([theirs]) / rms([own]))
             for own, theirs in zip(self.residuals, other.residuals, strict=True)
         ]
-        return bool(np.mean(gains) > np.std(gains) / np.sqrt(max(len(gains) - 1, 1)))
+        beyond = np.std(gains) / np.sqrt(max(len(gains) - 1, 1)) - np.log1p(-least)
+        return bool(np.mean(gains) > beyond)
 
 
 def folds(traces: Sequence[Trace]) -> list[tuple[list[Trace], list[Trace]]]:
