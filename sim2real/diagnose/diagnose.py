@@ -301,7 +301,7 @@ def _identified(
 
     None where what is offered leaves little more than noise. Where lasting errors are a part of the
     noise, which no search can tell from physics, it is kept unless the offered clearly predicts
-    better.
+    other recordings better.
     """
     offered, lasting = found.unseen.get(found.offered.members), joint.traces[0].slow is not None
     if joint.references or joint.base or offered is None:
@@ -318,7 +318,11 @@ def _identified(
     if unseen is None:
         return None
     if lasting:
-        chosen = not offered.clearly_better(unseen, DECISION.negligible)
+        servos, several = [start, found.offered.fit.servos], len(joint.traces) > 1
+        less, more = held_out([joint.traces] * 2, servos, whole=several)
+        if less is None or more is None:
+            return None
+        chosen = not more.clearly_better(less, DECISION.negligible)
     else:
         chosen = unseen.error < (1 - DECISION.min_improvement) * offered.error
     return (model, unseen) if chosen else None

@@ -63,13 +63,16 @@ class Unseen:
         return bool(np.mean(gains) > beyond)
 
 
-def folds(traces: Sequence[Trace]) -> list[tuple[list[Trace], list[Trace]]]:
+def folds(traces: Sequence[Trace], *, whole: bool = False) -> list[tuple[list[Trace], list[Trace]]]:
     """Pairs of traces to fit and to score, which differ in the samples that are ``used``.
 
     Each recording is cut into segments of equal length, of which every fold scores some: what only
     one recording shows, such as a limit of speed, is then in the data of every fit. None where the
-    samples outside a segment show no motion.
+    samples outside a segment show no motion. With ``whole``, every fold scores one recording of
+    several, as a motion that was never seen.
     """
+    if whole:
+        return [([x for x in traces if x is not one], [one]) for one in traces]
     pairs = []
     for fold in range(FOLDS):
         fitted, scored = [], []
@@ -85,7 +88,9 @@ def folds(traces: Sequence[Trace]) -> list[tuple[list[Trace], list[Trace]]]:
     return pairs
 
 
-def held_out(joints: Sequence[Sequence[Trace]], servos: Sequence[Servos]) -> list[Unseen | None]:
+def held_out(
+    joints: Sequence[Sequence[Trace]], servos: Sequence[Servos], *, whole: bool = False
+) -> list[Unseen | None]:
     """Refit each servo without each fold, and compute its residuals there.
 
     Refits are robust and assume white noise: a free noise model takes what is missing from a model
@@ -94,11 +99,12 @@ def held_out(joints: Sequence[Sequence[Trace]], servos: Sequence[Servos]) -> lis
     Args:
         joints: Traces of each servo's joint.
         servos: Servos with the parameters fitted to all samples, each of one row.
+        whole: As of ``folds``.
 
     Returns:
         One entry per servo; None where nothing can be held out.
     """
-    pairs = [(n, pair) for n, traces in enumerate(joints) for pair in folds(traces)]
+    pairs = [(n, pair) for n, traces in enumerate(joints) for pair in folds(traces, whole=whole)]
     if not pairs:
         return [None for _ in joints]
     start = stacked([servos[n] for n, _ in pairs]).of_joints(range(len(pairs)))

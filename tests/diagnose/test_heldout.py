@@ -44,6 +44,14 @@ def test_each_fold_scores_segments_that_it_does_not_fit(three, count):
     )
 
 
+def test_a_recording_is_scored_by_fits_to_the_others(three, start):
+    other = [*three[:2], spoiled(three[2], 1.0)]
+    (clean,), (dirty,) = (held_out([x], [start], whole=True) for x in (three, other))
+    np.testing.assert_array_equal(clean.theta[2], dirty.theta[2])
+    assert [x.size for x in dirty.residuals] == [int(t.used.sum()) for t in three]
+    assert np.std(dirty.residuals[2]) > 0.05 > np.std(dirty.residuals[0])
+
+
 @pytest.mark.parametrize("count", [1, 3])
 def test_parameters_never_see_what_they_are_scored_on(three, start, count):
     _, scored = folds(three[:count])[0]
