@@ -59,7 +59,6 @@ from sim2real.servo.parameters import (
     BASE,
     COLUMNS,
     FIRST_COLUMN,
-    FIRST_EFFECT_COLUMN,
     LOOP,
     joint_row,
 )
@@ -310,7 +309,7 @@ def _identified(
         return None
     model = fitted_joint(recorded, joint.servo, seed)
     row = joint_row(model, joint.traces[0].load)
-    present = np.flatnonzero(row[:FIRST_EFFECT_COLUMN] != 0)
+    present = np.flatnonzero(row)
     columns = np.array([c for c in present if COLUMNS[c] not in _GIVEN], dtype=np.int32)
     value, none = np.abs(row[columns])[None], np.zeros(1, dtype=np.int32)
     start = Servos(none, row[None], columns[None], value, value / 4, 4 * value)
