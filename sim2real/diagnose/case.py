@@ -10,13 +10,13 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.clock import dropped_rows
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.reading_noise import (
-    rest_noise,
-    with_reading_noise,
-)
 from sim2real.diagnose.rival_sets import StatedSet, stated_sets
 from sim2real.errors import InputError
 from sim2real.identification.priors import largest_rotor
+from sim2real.identification.reading_noise import (
+    rest_noise,
+    with_reading_noise,
+)
 from sim2real.identification.servo_problem import Hypothesis, Set, residual_angles, variants
 from sim2real.inference.correlated_noise import SlowErrors
 from sim2real.model import JointModel, Model

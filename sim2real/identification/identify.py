@@ -19,6 +19,7 @@ from sim2real.identification.joint_fit import (
 )
 from sim2real.identification.priors import MOTOR_SHEET, gains
 from sim2real.identification.problem import Fit
+from sim2real.identification.reading_noise import left_out, while_powered, without_wrong_readings
 from sim2real.identification.search import error_on, fit
 from sim2real.identification.uncertainty import (
     GAINS,
@@ -93,7 +94,7 @@ def identify(
     options = _Options(tuple(extra), effort, interval, refit, bool(warnings))
 
     def identify_joint(joint: str) -> tuple[JointModel, dict[str, float | None], str]:
-        data, notes = traces(recordings, joint), []
+        data, notes = [*map(without_wrong_readings, traces(recordings, joint))], []
         servo = _servo(robot, joint, law or ("pd" if extra else None))
         check_samples(split(data, held_out)[0], joint)
         if law is None and not extra and servo is None:
@@ -203,6 +204,24 @@ def _fits(
     return _JointFits(plain, without_influence, motor, base, best)
 
 
+def _fits_while_powered(
+    data: list[Trace], held_out: str | None, servo: Servo | None, options: _Options, seed: int
+) -> tuple[list[Trace], _JointFits]:
+    """The traces without releases of the servo, and the fits to those not held out.
+
+    A release is one for the linear servo and for the motor, which may have the friction that holds
+    the shaft; both are fitted again without it, and tell better then.
+    """
+    kept, found = data, _fits(split(data, held_out)[0], servo, options, seed)
+    for _ in range(2):
+        powered = while_powered(data, found.plain.row, found.best.row)
+        if all((a.used == b.used).all() for a, b in zip(powered, kept, strict=True)):
+            break
+        kept = powered
+        found = _fits(split(kept, held_out)[0], servo, options, seed)
+    return kept, found
+
+
 def _identify_joint(
     data: list[Trace],
     held_out: str | None,
@@ -212,9 +231,10 @@ def _identify_joint(
     options: _Options,
 ) -> tuple[JointModel, dict[str, float | None], str]:
     """The model of one joint, its errors and what was held out for them."""
-    fitted, scored, held_out_name = split(data, held_out)
     load, pendulum = data[0].load, shows_inertia(data)
-    found = _fits(fitted, servo, options, seed)
+    data, found = _fits_while_powered(data, held_out, servo, options, seed)
+    _, scored, held_out_name = split(data, held_out)
+    notes += left_out(data)
     figures = {"heldout": error_on(found.best.row, scored)}
     if options.effects:
         figures["heldout_without_effects"] = error_on(found.base.row, scored)

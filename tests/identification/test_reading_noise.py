@@ -4,17 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated import NOISE, traced
+from simulated import KP, NOISE, recording, robot, traced
 
 from sim2real.diagnose.case import JointCase, on_one_clock
-from sim2real.diagnose.reading_noise import (
+from sim2real.diagnose.servo_search import baselines, plain_sets
+from sim2real.identification.identify import identify
+from sim2real.identification.reading_noise import (
     jitter_s,
     left_out,
     rest_noise,
     with_reading_noise,
     without_releases,
 )
-from sim2real.diagnose.servo_search import baselines, plain_sets
 from sim2real.servo.batch import Batch
 
 JITTER_S = 2.5e-3
@@ -74,6 +75,17 @@ def test_a_release_is_left_out_and_a_slow_servo_is_not(usual):
     assert (~kept.used).any()
     assert "left out from" in next(iter(left_out([kept])))
     assert without_releases(usual, usual.position + 0.01) is usual
+
+
+def test_identify_leaves_out_releases_and_says_when():
+    whole = recording(1, "a", seconds=8.0)
+    position = whole.position.copy()
+    for since, until in ((2.0, 3.0), (6.5, 9.0)):  # the second until the end
+        hangs = (whole.t >= since) & (whole.t < until)
+        position[hangs] = position[hangs][0]
+    servo = identify([replace(whole, position=position)], robot("j1")).joints["j1"]
+    assert servo.kp_Nm_per_rad == pytest.approx(KP, rel=0.02)
+    assert any("a left out from 2.0" in note and "and from 6.6" in note for note in servo.notes)
 
 
 QUIET = 1e-5
