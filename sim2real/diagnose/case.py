@@ -18,7 +18,6 @@ from sim2real.identification.reading_noise import (
     with_reading_noise,
 )
 from sim2real.identification.servo_problem import Hypothesis, Set, residual_angles, variants
-from sim2real.inference.correlated_noise import SlowErrors
 from sim2real.model import JointModel, Model
 from sim2real.recording import PER_INERTIA, Recording
 from sim2real.robot import Robot, Servo
@@ -101,13 +100,11 @@ def prepared(case: Case) -> list[JointCase]:
             raise InputError(recording.file, "header", found, expected)
     joints = []
     for joint in case.robot.joints:
-        data = with_reading_noise(traces(case.recordings, joint.name))
+        data = with_reading_noise(traces(case.recordings, joint.name), slow=not case.references)
         if not data:
             continue
         check_runs(data, joint.name)
         noise = rest_noise(data)
-        if data[0].spread is not None and not case.references:
-            data = [replace(trace, slow=SlowErrors(noise)) for trace in data]
         joints.append(
             JointCase(
                 joint.name,

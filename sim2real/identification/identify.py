@@ -19,7 +19,7 @@ from sim2real.identification.joint_fit import (
 )
 from sim2real.identification.priors import MOTOR_SHEET, gains
 from sim2real.identification.problem import Fit
-from sim2real.identification.reading_noise import left_out, while_powered, without_wrong_readings
+from sim2real.identification.reading_noise import left_out, while_powered, with_reading_noise
 from sim2real.identification.search import error_on, fit
 from sim2real.identification.uncertainty import (
     GAINS,
@@ -29,7 +29,6 @@ from sim2real.identification.uncertainty import (
     uncertainty,
 )
 from sim2real.inference.correlated_noise import correlation_samples, whiteness
-from sim2real.inference.least_squares import rms
 from sim2real.inference.normal import LEVEL
 from sim2real.model import FittedEffect, JointModel, Law, Model
 from sim2real.output import provenance
@@ -94,7 +93,7 @@ def identify(
     options = _Options(tuple(extra), effort, interval, refit, bool(warnings))
 
     def identify_joint(joint: str) -> tuple[JointModel, dict[str, float | None], str]:
-        data, notes = [*map(without_wrong_readings, traces(recordings, joint))], []
+        data, notes = with_reading_noise(traces(recordings, joint), slow=True), list[str]()
         servo = _servo(robot, joint, law or ("pd" if extra else None))
         check_samples(split(data, held_out)[0], joint)
         if law is None and not extra and servo is None:
@@ -238,7 +237,7 @@ def _identify_joint(
     figures = {"heldout": error_on(found.best.row, scored)}
     if options.effects:
         figures["heldout_without_effects"] = error_on(found.base.row, scored)
-        figures["train_without_effects"] = rms([found.base.error])
+        figures["train_without_effects"] = error_on(found.base.row, found.base.problem.traces)
         if not pendulum and any(e.name == "unmodelled_inertia" for e in options.effects):
             notes.append(
                 "unmodelled_inertia is not identifiable: it needs a pendulum or two known loads"
@@ -270,7 +269,7 @@ def _identify_joint(
     errors = [e for e in best.residuals if e.size]
     time = float(np.mean([correlation_samples(e) for e in errors]))
     figures = {
-        "train": rms(errors),
+        "train": error_on(best.row, best.problem.traces),
         "heldout": None,
         "noise": sensor_noise(data),
         "whiteness": whiteness(errors),

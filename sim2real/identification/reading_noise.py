@@ -13,6 +13,7 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.identification.search import errors_of
+from sim2real.inference.correlated_noise import SlowErrors
 from sim2real.inference.least_squares import OUTLIER_SD, robust_scale
 from sim2real.inference.normal import SD_PER_MEDIAN
 from sim2real.inference.segments import runs
@@ -26,8 +27,11 @@ _GROUPS, _FEWEST = 8, 20
 """Groups of readings of similar speed, and readings that each has at least."""
 
 
-def with_reading_noise(traces: Sequence[Trace]) -> list[Trace]:
-    """The traces without wrong readings, with the spread of the noise of the others."""
+def with_reading_noise(traces: Sequence[Trace], *, slow: bool = False) -> list[Trace]:
+    """The traces without wrong readings, with the spread of the noise of the others.
+
+    Where it spreads, also with the usual slow errors of a law if ``slow``.
+    """
     if not traces:
         return []
     kept = [without_wrong_readings(trace) for trace in traces]
@@ -35,7 +39,9 @@ def with_reading_noise(traces: Sequence[Trace]) -> list[Trace]:
     if known is None:
         return kept
     jitter, rest = known
-    return [replace(t, spread=np.hypot(1.0, jitter * t.speed() / rest)) for t in kept]
+    errors = SlowErrors(rest) if slow else None
+    spread = [np.hypot(1.0, jitter * t.speed() / rest) for t in kept]
+    return [replace(t, spread=x, slow=errors) for t, x in zip(kept, spread, strict=True)]
 
 
 def without_wrong_readings(trace: Trace) -> Trace:

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated import KP, NOISE, recording, robot, traced
+from simulated import KP, NOISE, recording, robot, row, traced
 
 from sim2real.diagnose.case import JointCase, on_one_clock
 from sim2real.diagnose.servo_search import baselines, plain_sets
 from sim2real.identification.identify import identify
+from sim2real.identification.problem import ServoProblem
 from sim2real.identification.reading_noise import (
     jitter_s,
     left_out,
@@ -16,7 +17,9 @@ from sim2real.identification.reading_noise import (
     with_reading_noise,
     without_releases,
 )
+from sim2real.identification.search import errors_of
 from sim2real.servo.batch import Batch
+from sim2real.servo.trace import fit_noise
 
 JITTER_S = 2.5e-3
 
@@ -54,6 +57,16 @@ def test_times_that_vary_are_noise_that_grows_with_speed():
     assert kept.spread.min() == pytest.approx(1.0, abs=0.2)
     assert kept.spread.max() > 5
     assert "times vary by" in next(iter(left_out([kept])))
+
+
+def test_fits_weight_readings_by_their_noise_and_the_usual_errors_of_a_law(usual):
+    (kept,) = with_reading_noise([fast(JITTER_S)], slow=True)
+    (plain,), servo = errors_of(row(), [kept]), ServoProblem([kept], row(), ())
+    assert servo.row_residuals(row()[None])[0] * kept.fit_ratio == pytest.approx(plain)
+    assert np.ptp(kept.fit_ratio) > 3
+    assert fit_noise([kept]) < 0.5 * rest_noise([kept])
+    (same,) = with_reading_noise([usual], slow=True)
+    assert (same.fit_ratio == 1).all()
 
 
 def test_wrong_readings_are_left_out_and_said(usual):
