@@ -190,6 +190,10 @@ def choose_motor(
             break
         best = more
     best = with_set_point_limit(best)  # friction hides it, too
+    if before is None and CURRENT_LIMIT in best.names:  # fitted first, where others were missing
+        fewer = [name for name in best.names if name != CURRENT_LIMIT]
+        without = fit_motor(traces, best, prior, fewer, rng, best.minima)
+        best = best if _better(without, best, 1) else without
     ratio = rms([best.error]) / noise
     explained = ratio < EXPLAINED and whiteness(best.residuals) < white
     if explained or ratio > error_before_loop or before is not None:
