@@ -179,7 +179,9 @@ def _times_s(noise: Array, speed: Array, rest: float) -> tuple[float, float]:
     order = np.array_split(np.argsort(speed, kind="stable"), _GROUPS)[_GROUPS // 2 :]
     sd = np.array([SD_PER_MEDIAN * np.median(np.abs(noise[part])) for part in order])
     typical = np.array([np.mean(speed[part] ** 2) for part in order])
-    return float(np.sqrt(np.median(np.maximum(sd**2 - rest**2, 0.0) / typical))), float(sd[-1])
+    beyond = np.maximum(sd**2 - rest**2, 0.0)
+    variance = np.divide(beyond, typical, out=np.zeros_like(beyond), where=typical > 0)
+    return float(np.sqrt(np.median(variance))), float(sd[-1])
 
 
 def _differences(trace: Trace, order: int) -> tuple[Array, Array]:
