@@ -10,13 +10,13 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.clock import dropped_rows
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.reading_noise import (
-    rest_noise,
-    with_reading_noise,
-)
 from sim2real.diagnose.rival_sets import StatedSet, stated_sets
 from sim2real.errors import InputError
 from sim2real.identification.priors import largest_rotor
+from sim2real.identification.reading_noise import (
+    rest_noise,
+    with_reading_noise,
+)
 from sim2real.identification.servo_problem import Hypothesis, Set, residual_angles, variants
 from sim2real.inference.correlated_noise import SlowErrors
 from sim2real.model import JointModel, Model
@@ -101,13 +101,12 @@ def prepared(case: Case) -> list[JointCase]:
             raise InputError(recording.file, "header", found, expected)
     joints = []
     for joint in case.robot.joints:
-        data = with_reading_noise(traces(case.recordings, joint.name))
+        data = with_reading_noise(traces(case.recordings, joint.name), slow=not case.references)
         if not data:
             continue
         check_runs(data, joint.name)
         noise = rest_noise(data)
-        polled = data[0].period_s > DECISION.change.slow_sampling_s
-        if (polled or data[0].spread is not None) and not case.references:
+        if data[0].period_s > DECISION.change.slow_sampling_s and not case.references:
             data = [replace(trace, slow=SlowErrors(noise)) for trace in data]
         joints.append(
             JointCase(

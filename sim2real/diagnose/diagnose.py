@@ -24,7 +24,6 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.effect_search import first_look
 from sim2real.diagnose.investigate import placed
 from sim2real.diagnose.joint_result import JointFindings
-from sim2real.diagnose.reading_noise import without_releases
 from sim2real.diagnose.references import findings_of, with_known_servos
 from sim2real.diagnose.result import Diagnosis
 from sim2real.diagnose.rival_sets import with_open_sets
@@ -36,6 +35,7 @@ from sim2real.effects import named
 from sim2real.identification.held_out import Unseen, held_out
 from sim2real.identification.identify import fitted_joint
 from sim2real.identification.joint_fit import refitted
+from sim2real.identification.reading_noise import without_releases
 from sim2real.identification.servo_problem import (
     Hypothesis,
     Servos,

@@ -17,7 +17,6 @@ from sim2real.diagnose.effect_probabilities import EffectPosterior, Group
 from sim2real.diagnose.explained import way_of
 from sim2real.diagnose.free_parameters import with_effects
 from sim2real.diagnose.investigate import ROUNDING, Finding, investigate
-from sim2real.diagnose.reading_noise import without_wrong_readings
 from sim2real.diagnose.result import Experiment
 from sim2real.diagnose.servo_search import BLOCKS, ServoSearch, plain_sets
 from sim2real.diagnose.unmodelled import unmodelled
@@ -25,6 +24,7 @@ from sim2real.effects import named
 from sim2real.identification.joint_fit import EXPLAINED, choose_motor
 from sim2real.identification.priors import motor_prior, of_effects, plain_parameters
 from sim2real.identification.problem import Fit, ServoProblem
+from sim2real.identification.reading_noise import without_wrong_readings
 from sim2real.identification.search import fit
 from sim2real.identification.servo_problem import (
     Fits,

@@ -11,7 +11,6 @@ from sim2real.diagnose.case import Case
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.open_sets import rival_sets, set_probabilities
-from sim2real.diagnose.reading_noise import left_out
 from sim2real.diagnose.references import repeat
 from sim2real.diagnose.remainder import remainder
 from sim2real.diagnose.result import (
@@ -29,6 +28,7 @@ from sim2real.diagnose.unmodelled import measured_only
 from sim2real.diagnose.verdict import Named, named_groups, rivals, split_by_size, verdict
 from sim2real.effects import SET_ANEW, named, plain
 from sim2real.findings import all_findings
+from sim2real.identification.reading_noise import left_out
 from sim2real.inference.normal import NINE_IN_TEN
 from sim2real.inference.segments import Window, robust_sd, windows
 from sim2real.model import FittedEffect, Model

@@ -19,6 +19,7 @@ from sim2real.identification.joint_fit import (
 )
 from sim2real.identification.priors import MOTOR_SHEET, gains
 from sim2real.identification.problem import Fit
+from sim2real.identification.reading_noise import left_out, while_powered, with_reading_noise
 from sim2real.identification.search import error_on, fit
 from sim2real.identification.uncertainty import (
     GAINS,
@@ -28,7 +29,6 @@ from sim2real.identification.uncertainty import (
     uncertainty,
 )
 from sim2real.inference.correlated_noise import correlation_samples, whiteness
-from sim2real.inference.least_squares import rms
 from sim2real.inference.normal import LEVEL
 from sim2real.model import FittedEffect, JointModel, Law, Model
 from sim2real.output import provenance
@@ -93,7 +93,7 @@ def identify(
     options = _Options(tuple(extra), effort, interval, refit, bool(warnings))
 
     def identify_joint(joint: str) -> tuple[JointModel, dict[str, float | None], str]:
-        data, notes = traces(recordings, joint), []
+        data, notes = with_reading_noise(traces(recordings, joint), slow=True), list[str]()
         servo = _servo(robot, joint, law or ("pd" if extra else None))
         check_samples(split(data, held_out)[0], joint)
         if law is None and not extra and servo is None:
@@ -118,9 +118,8 @@ def identify(
 def fitted_joint(data: list[Trace], servo: Servo | None, seed: int = 0) -> JointModel:
     """The model of one joint as of ``identify``, without intervals and notes."""
     sheet = servo if servo is not None and servo.states(*MOTOR_SHEET) else None
-    fitted, scored, _ = split(data, None)
-    found = _fits(fitted, sheet, _Options(), seed)
-    if scored:
+    data, found = _fits_while_powered(data, None, sheet, _Options(), seed)
+    if split(data, None)[1]:
         found = _fits(data, sheet, _Options(), seed, found)
     return _joint_model(found, {}, None, data[0].load, ())
 
@@ -206,6 +205,24 @@ def _fits(
     return _JointFits(plain, without_influence, motor, base, best)
 
 
+def _fits_while_powered(
+    data: list[Trace], held_out: str | None, servo: Servo | None, options: _Options, seed: int
+) -> tuple[list[Trace], _JointFits]:
+    """The traces without releases of the servo, and the fits to those not held out.
+
+    A release is one for the linear servo and for the motor, which may have the friction that holds
+    the shaft; both are fitted again without it, and tell better then.
+    """
+    kept, found = data, _fits(split(data, held_out)[0], servo, options, seed)
+    for _ in range(2):
+        powered = while_powered(data, found.plain.row, found.best.row)
+        if all((a.used == b.used).all() for a, b in zip(powered, kept, strict=True)):
+            break
+        kept = powered
+        found = _fits(split(kept, held_out)[0], servo, options, seed)
+    return kept, found
+
+
 def _identify_joint(
     data: list[Trace],
     held_out: str | None,
@@ -215,13 +232,14 @@ def _identify_joint(
     options: _Options,
 ) -> tuple[JointModel, dict[str, float | None], str]:
     """The model of one joint, its errors and what was held out for them."""
-    fitted, scored, held_out_name = split(data, held_out)
     load, pendulum = data[0].load, shows_inertia(data)
-    found = _fits(fitted, servo, options, seed)
+    data, found = _fits_while_powered(data, held_out, servo, options, seed)
+    _, scored, held_out_name = split(data, held_out)
+    notes += left_out(data)
     figures = {"heldout": error_on(found.best.row, scored)}
     if options.effects:
         figures["heldout_without_effects"] = error_on(found.base.row, scored)
-        figures["train_without_effects"] = rms([found.base.error])
+        figures["train_without_effects"] = error_on(found.base.row, found.base.problem.traces)
         if not pendulum and any(e.name == "unmodelled_inertia" for e in options.effects):
             notes.append(
                 "unmodelled_inertia is not identifiable: it needs a pendulum or two known loads"
@@ -253,7 +271,7 @@ def _identify_joint(
     errors = [e for e in best.residuals if e.size]
     time = float(np.mean([correlation_samples(e) for e in errors]))
     figures = {
-        "train": rms(errors),
+        "train": error_on(best.row, best.problem.traces),
         "heldout": None,
         "noise": sensor_noise(data),
         "whiteness": whiteness(errors),

@@ -43,7 +43,7 @@ from sim2real.servo.parameters import (
     SOFT,
     TRAINS,
 )
-from sim2real.servo.trace import Trace, sensor_noise, shows_inertia
+from sim2real.servo.trace import Trace, fit_noise, shows_inertia
 
 EXPLAINED = 1.15
 """Ratio of residual to noise below which no more parameters are added."""
@@ -64,7 +64,7 @@ def fit_plain(
     Raises:
         InputError: If no parameter changes the angles visibly.
     """
-    noise, rotor = sensor_noise(traces), 0.0
+    noise, rotor = fit_noise(traces), 0.0
     if traces[0].varying is not None:
         rotor = traces[0].load.inertia_kgm2 if servo is None else nominal_rotor(servo)
     starts = first_guess(traces, rng, rotor_kgm2=rotor)
@@ -155,9 +155,18 @@ def choose_motor(
     """
     if before is not None and LOOP[0] in before.names:
         return fit(replace(before.problem, traces=traces), before.minima, rounds=3, first=10)
-    noise, prior = sensor_noise(traces), motor_prior(servo, traces)
+    noise, prior = fit_noise(traces), motor_prior(servo, traces)
     if traces[0].varying is None and rms([plain.error]) < EXPLAINED * noise:
         return fit_limit(traces, plain, prior, LINE, rng)
+
+    def with_set_point_limit(best: Fit) -> Fit:
+        explained = rms([best.error]) < EXPLAINED * noise or RATE_LIMIT in best.names
+        if explained or not set_points or before is not None or traces[0].varying is not None:
+            return best
+        known = prior if best.law == "motor" else prior.flat(float(best.row[1]))
+        values = servo.no_load_speed_rad_s * np.array([1.0, 0.7])
+        return _limited(best, best.row, known, best.names, RATE_LIMIT, values, rng)
+
     names: tuple[str, ...] = (*BASE[:3], *LINE)
     if not losses:
         return fit_motor(traces, plain, prior, (*names, ROTOR), rng)
@@ -165,11 +174,8 @@ def choose_motor(
         names = (*names, ROTOR)
     if before is None or BASE[0] not in before.names:
         best = fit_limit(traces, plain, prior, names, rng)
-        if set_points and rms([best.error]) > EXPLAINED * noise and traces[0].varying is None:
-            # Without it a servo that limits its set-points seems heavier and its motor slower.
-            known = prior if best.law == "motor" else prior.flat(float(best.row[1]))
-            values = servo.no_load_speed_rad_s * np.array([1.0, 0.7])
-            best = _limited(best, best.row, known, best.names, RATE_LIMIT, values, rng)
+        # Without it a servo that limits its set-points seems heavier and its motor slower.
+        best = with_set_point_limit(best)
     else:
         names = tuple(dict.fromkeys((*names, *before.names)))
         known = prior if before.law == "motor" else prior.flat(float(plain.row[1]))
@@ -183,6 +189,11 @@ def choose_motor(
         if not _better(best, more, len(part)):
             break
         best = more
+    best = with_set_point_limit(best)  # friction hides it, too
+    if before is None and CURRENT_LIMIT in best.names:  # fitted first, where others were missing
+        fewer = [name for name in best.names if name != CURRENT_LIMIT]
+        without = fit_motor(traces, best, prior, fewer, rng, best.minima)
+        best = best if _better(without, best, 1) else without
     ratio = rms([best.error]) / noise
     explained = ratio < EXPLAINED and whiteness(best.residuals) < white
     if explained or ratio > error_before_loop or before is not None:
@@ -227,7 +238,7 @@ def fit_limit(
         start[_LINE[1]] = np.exp(flat[LINE[1]].nominal)
         options.append(fit_motor(traces, plain, flat, names, rng, start[None]))
     best = _likeliest(options)
-    if BASE[0] in names and rms([best.error]) > EXPLAINED * sensor_noise(traces):
+    if BASE[0] in names and rms([best.error]) > EXPLAINED * fit_noise(traces):
         row = line.row.copy()
         row[_LINE] = [np.exp(prior[name].nominal) for name in LINE]
         values = row[_LINE[0]] * np.array(current_limits)

@@ -126,7 +126,10 @@ class ServoProblem:
         return column(self.parameters, "nominal")
 
     def residuals(self, x: Array, *, rough: bool = False) -> Array:
-        """Simulated minus measured angles at the used samples of all traces, (B, F) to (B, n)."""
+        """Simulated minus measured angles at the used samples of all traces, (B, F) to (B, n).
+
+        In rad, divided by ``Trace.fit_ratio``, so that all have the noise of a joint at rest.
+        """
         return self.row_residuals(self.rows(x), rough=rough)
 
     def row_residuals(self, rows: Array, *, rough: bool = False) -> Array:
@@ -143,8 +146,13 @@ class ServoProblem:
 
     def _errors(self, rows: Array, substeps: Array) -> Array:
         angles = self.simulator.angles(rows, substeps)
-        errors = [(a - t.position)[:, t.used] for a, t in zip(angles, self.traces, strict=True)]
+        parts = zip(angles, self.traces, self._ratios, strict=True)
+        errors = [((a - t.position) / ratio)[:, t.used] for a, t, ratio in parts]
         return np.concatenate(errors, axis=1)
+
+    @cached_property
+    def _ratios(self) -> list[Array]:
+        return [trace.fit_ratio for trace in self.traces]
 
     def slopes(
         self, x: Array, error: Array | None = None, *, rough: bool = True
@@ -237,7 +245,7 @@ class Fit:
 
     problem: ServoProblem  # the problem
     x: Array  # the optimum, shape (F,)
-    error: Array  # simulated minus measured angles at the used samples in rad, shape (n,)
+    error: Array  # residuals at the used samples in rad, as of the problem, shape (n,)
     slopes: Array  # their derivatives by ``x``, shape (n, F)
     scale_rad: float  # robust standard deviation of the residual
     inflation: float  # number of its samples per independent sample

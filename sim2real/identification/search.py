@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -165,10 +166,10 @@ def robust_order(
 
 
 def errors_of(row: Array, traces: Sequence[Trace]) -> tuple[Array, ...]:
-    """Simulated minus measured angles of a servo (P,) at the used samples of each trace."""
+    """Simulated minus measured angles of a servo (P,) at the used samples of each trace, rad."""
     if not traces:
         return ()
-    problem = ServoProblem(traces, row, ())
+    problem = ServoProblem([replace(trace, slow=None) for trace in traces], row, ())
     return problem.by_trace(problem.residuals(np.zeros((1, 0)))[0])
 
 

@@ -62,7 +62,7 @@ def predictive_check(
     rows = np.tile(best.row, (DRAWS, 1))
     rows[:, without.columns] = normal_draws(best, rng, DRAWS)
     angles = rollout_on(trace, rows)
-    noisy = angles + rng.normal(0.0, rms([best.error]), angles.shape)
+    noisy = angles + rng.normal(0.0, rms([best.error]) * trace.fit_ratio, angles.shape)
     measured = trace.measured
     present = np.isfinite(measured)
     covered = {}

@@ -12,13 +12,20 @@ import numpy as np
 
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
+from sim2real.identification.reading_noise import while_powered, with_reading_noise
 from sim2real.inference.normal import LEVEL
 from sim2real.model import Model
 from sim2real.noise import ABOVE_NOISE
 from sim2real.plausible import admitted
 from sim2real.posterior.chain import require
 from sim2real.posterior.predictive_check import PredictiveCheck, predictive_check
-from sim2real.posterior.servo import STEPS, WALKERS, ServoPosterior, sample_servo
+from sim2real.posterior.servo import (
+    STEPS,
+    WALKERS,
+    ServoPosterior,
+    sample_servo,
+    servo_problem,
+)
 from sim2real.ranges.entry import Range, Ranges, normal, uniform
 from sim2real.ranges.latency import Latencies, latencies
 from sim2real.ranges.population import TypeParameter
@@ -148,9 +155,11 @@ def sample_joints(
         raise InputError("--held-out", "", repr(sampling.held_out), f"one of {expected}")
     posteriors, checks = {}, {}
     for number, (joint, servo) in enumerate(model.joints.items()):
-        joint_traces = traces(bench, joint)
+        joint_traces = with_reading_noise(traces(bench, joint), slow=True)
         if not joint_traces:
             continue
+        whole = servo_problem(joint_traces, servo)
+        joint_traces = while_powered(whole.traces, whole.row)
         fitted, scored, _ = split(joint_traces, sampling.held_out)
         check_samples(fitted, joint)
         described = robot.joint(joint)

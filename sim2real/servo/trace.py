@@ -94,6 +94,11 @@ class Trace:
         return np.asarray(np.sqrt(self.noise_ratio**2 + variance))
 
     @property
+    def fit_ratio(self) -> Array:
+        """What fits divide residuals by, (T,): ``error_ratio``, 1 without slow errors."""
+        return np.ones(self.t.size) if self.slow is None else self.error_ratio
+
+    @property
     def period_s(self) -> float:
         """Median time between samples, s."""
         return float(np.median(np.diff(self.t)))
@@ -245,6 +250,15 @@ def firmware_gain(recording: Recording) -> float | None:
 def sensor_noise(traces: Sequence[Trace]) -> float:
     """Standard deviation of a joint's sensor noise in rad, the largest over its recordings."""
     return max(FINEST_NOISE_RAD, *(trace.noise_floor_rad for trace in traces))
+
+
+def fit_noise(traces: Sequence[Trace]) -> float:
+    """Standard deviation of white noise alone in the residuals of fits (``fit_ratio``), rad."""
+    slow = traces[0].slow
+    if slow is None:
+        return sensor_noise(traces)
+    share = np.concatenate([(t.noise_ratio / t.fit_ratio)[t.used] for t in traces])
+    return slow.noise_rad * float(np.sqrt(np.mean(share**2)))
 
 
 def check_samples(traces: Sequence[Trace], joint: str, *, fewest: int = 20) -> None:

@@ -19,9 +19,9 @@ from sim2real.diagnose.explained import (
     in_common,
     way_of,
 )
-from sim2real.diagnose.reading_noise import without_wrong_readings
 from sim2real.diagnose.references import law_of, with_known_servos
 from sim2real.errors import InputError
+from sim2real.identification.reading_noise import without_wrong_readings
 from sim2real.recording import Load, read_recording
 from sim2real.servo.parameters import joint_row
 from sim2real.servo.rollout import rollout

@@ -12,6 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from sim2real.arrays import Array
+from sim2real.identification.search import errors_of
+from sim2real.inference.correlated_noise import SlowErrors
+from sim2real.inference.least_squares import OUTLIER_SD, robust_scale
 from sim2real.inference.normal import SD_PER_MEDIAN
 from sim2real.inference.segments import runs
 from sim2real.noise import divided_differences
@@ -24,8 +27,11 @@ _GROUPS, _FEWEST = 8, 20
 """Groups of readings of similar speed, and readings that each has at least."""
 
 
-def with_reading_noise(traces: Sequence[Trace]) -> list[Trace]:
-    """The traces without wrong readings, with the spread of the noise of the others."""
+def with_reading_noise(traces: Sequence[Trace], *, slow: bool = False) -> list[Trace]:
+    """The traces without wrong readings, with the spread of the noise of the others.
+
+    Where it spreads, also with the usual slow errors of a law if ``slow``.
+    """
     if not traces:
         return []
     kept = [without_wrong_readings(trace) for trace in traces]
@@ -33,7 +39,9 @@ def with_reading_noise(traces: Sequence[Trace]) -> list[Trace]:
     if known is None:
         return kept
     jitter, rest = known
-    return [replace(t, spread=np.hypot(1.0, jitter * t.speed() / rest)) for t in kept]
+    errors = SlowErrors(rest) if slow else None
+    spread = [np.hypot(1.0, jitter * t.speed() / rest) for t in kept]
+    return [replace(t, spread=x, slow=errors) for t, x in zip(kept, spread, strict=True)]
 
 
 def without_wrong_readings(trace: Trace) -> Trace:
@@ -54,21 +62,42 @@ def without_releases(
 
     There the shaft does not follow: for ``shortest_s`` it is further than ``least_rad`` from where
     a fitted servo would be (``simulated``, in rad, shape (T,)) and does not turn towards that.
-    Until ``recovery_s`` after it is there again, nothing is used.
+    Nothing is used from where it last was as close as usual until it has been near for
+    ``recovery_s``.
     """
     angle = np.interp(trace.t, trace.t[trace.used], trace.position[trace.used])
     away = simulated - angle
     speed = np.gradient(angle, trace.t)
     lost = (np.abs(away) > least_rad) & (speed * np.sign(away) < towards_rad_s)
+    usual = OUTLIER_SD * robust_scale(away[trace.used])
+    near = [trace.t[a:b] for a, b in runs(np.abs(away) < min(usual, least_rad))]
     used = trace.used.copy()
     for first, last in runs(lost):
-        if trace.t[last - 1] - trace.t[first] < shortest_s:
+        start, end = trace.t[first], trace.t[last - 1]
+        if end - start < shortest_s:
             continue
-        back = np.flatnonzero((np.abs(away) < least_rad) & (trace.t > trace.t[last - 1]))
-        until = trace.t[back[0]] + recovery_s if back.size else np.inf
-        since = trace.t[first] - shortest_s
-        used &= (trace.t < since) | (trace.t > until)
+        close = trace.t[(np.abs(away) < usual) & (trace.t < start - shortest_s)]
+        back = [t[0] + recovery_s for t in near if t[0] > end and t[-1] - t[0] > recovery_s]
+        since = max(close, default=trace.t[0])
+        used &= (trace.t <= since) | (trace.t > min(back, default=np.inf))
     return trace if (used == trace.used).all() else replace(trace, used=used)
+
+
+def while_powered(traces: Sequence[Trace], *rows: Array, least_share: float = 0.5) -> list[Trace]:
+    """The traces without the times that are releases for each of some servos, (P,) each.
+
+    They are whole where less than ``least_share`` of all readings would remain.
+    """
+    left = [np.zeros_like(trace.used) for trace in traces]
+    for row in rows:
+        for used, trace, error in zip(left, traces, errors_of(row, traces), strict=True):
+            used |= without_releases(trace, trace.simulated(error)).used
+    remaining, whole = (
+        sum(int(x.sum()) for x in some) for some in (left, [t.used for t in traces])
+    )
+    if remaining < least_share * whole:
+        return list(traces)
+    return [replace(trace, used=used) for trace, used in zip(traces, left, strict=True)]
 
 
 def left_out(traces: Sequence[Trace]) -> Iterator[str]:
@@ -83,11 +112,13 @@ def left_out(traces: Sequence[Trace]) -> Iterator[str]:
                 f"{_at(trace.t[wrong])}"
             )
         lost = np.isfinite(trace.position) & ~trace.used & ~wrong
-        if lost.any():
-            first, last = trace.t[lost][[0, -1]]
+        apart = ~trace.used  # with missing and wrong readings, which are no gaps
+        times = [trace.t[first:last] for first, last in runs(apart) if lost[first:last].any()]
+        if times:
+            windows = " and ".join(f"from {t[0]:.2f} to {t[-1]:.2f} s" for t in times)
             yield (
-                f"{trace.name} left out from {first:.2f} to {last:.2f} s: the servo does not turn "
-                "towards its set-point, as without torque."
+                f"{trace.name} left out {windows}: the servo does not turn towards its set-point, "
+                "as without torque."
             )
     known = None if traces[0].spread is None else jitter_s(traces)
     if known is not None:
@@ -148,7 +179,9 @@ def _times_s(noise: Array, speed: Array, rest: float) -> tuple[float, float]:
     order = np.array_split(np.argsort(speed, kind="stable"), _GROUPS)[_GROUPS // 2 :]
     sd = np.array([SD_PER_MEDIAN * np.median(np.abs(noise[part])) for part in order])
     typical = np.array([np.mean(speed[part] ** 2) for part in order])
-    return float(np.sqrt(np.median(np.maximum(sd**2 - rest**2, 0.0) / typical))), float(sd[-1])
+    beyond = np.maximum(sd**2 - rest**2, 0.0)
+    variance = np.divide(beyond, typical, out=np.zeros_like(beyond), where=typical > 0)
+    return float(np.sqrt(np.median(variance))), float(sd[-1])
 
 
 def _differences(trace: Trace, order: int) -> tuple[Array, Array]:

@@ -4,18 +4,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated import NOISE, recording, robot, traced
+from simulated import KP, NOISE, recording, robot, row, traced
 
 from sim2real.diagnose.case import Case, JointCase, batch_of, on_one_clock, prepared
-from sim2real.diagnose.reading_noise import (
+from sim2real.diagnose.servo_search import ServoSearch, baselines, plain_sets
+from sim2real.identification.identify import identify
+from sim2real.identification.problem import ServoProblem
+from sim2real.identification.reading_noise import (
     jitter_s,
     left_out,
     rest_noise,
     with_reading_noise,
     without_releases,
 )
-from sim2real.diagnose.servo_search import ServoSearch, baselines, plain_sets
+from sim2real.identification.search import errors_of
 from sim2real.servo.batch import Batch
+from sim2real.servo.trace import fit_noise
 
 JITTER_S = 2.5e-3
 
@@ -55,6 +59,16 @@ def test_times_that_vary_are_noise_that_grows_with_speed():
     assert "times vary by" in next(iter(left_out([kept])))
 
 
+def test_fits_weight_readings_by_their_noise_and_the_usual_errors_of_a_law(usual):
+    (kept,) = with_reading_noise([fast(JITTER_S)], slow=True)
+    (plain,), servo = errors_of(row(), [kept]), ServoProblem([kept], row(), ())
+    assert servo.row_residuals(row()[None])[0] * kept.fit_ratio == pytest.approx(plain)
+    assert np.ptp(kept.fit_ratio) > 3
+    assert fit_noise([kept]) < 0.5 * rest_noise([kept])
+    (same,) = with_reading_noise([usual], slow=True)
+    assert (same.fit_ratio == 1).all()
+
+
 def test_wrong_readings_are_left_out_and_said(usual):
     position = usual.position.copy()
     position[[100, 300]] += 3.0
@@ -74,6 +88,17 @@ def test_a_release_is_left_out_and_a_slow_servo_is_not(usual):
     assert (~kept.used).any()
     assert "left out from" in next(iter(left_out([kept])))
     assert without_releases(usual, usual.position + 0.01) is usual
+
+
+def test_identify_leaves_out_releases_and_says_when():
+    whole = recording(1, "a", seconds=8.0)
+    position = whole.position.copy()
+    for since, until in ((2.0, 3.0), (6.5, 9.0)):  # the second until the end
+        hangs = (whole.t >= since) & (whole.t < until)
+        position[hangs] = position[hangs][0]
+    servo = identify([replace(whole, position=position)], robot("j1")).joints["j1"]
+    assert servo.kp_Nm_per_rad == pytest.approx(KP, rel=0.02)
+    assert any("a left out from 2.0" in note and "and from 6.6" in note for note in servo.notes)
 
 
 QUIET = 1e-5
