@@ -30,6 +30,12 @@ def at_rest(u: F, kp: F, p: Row, torque: F) -> wp.vec4d:
 
 
 @wp.func
+def displaced(state: wp.vec4d, by: F, kp: F) -> wp.vec4d:
+    """A state at rest, held by friction at another angle."""
+    return state + wp.vec4d(by, wp.float64(0.0), -kp * by, wp.float64(0.0))
+
+
+@wp.func
 def load_at(time: F, signal: int, grid: Table, varying: wp.array3d(dtype=F)) -> wp.vec2d:
     """Inertia in kg m2 beyond the mean and torque in N m of a load that varies with time."""
     last = grid[signal, 2] - wp.float64(1.0)
@@ -63,7 +69,7 @@ def _same_events(
 
 
 def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
-    """The kernel that simulates servos from rest on their signal's first set-point.
+    """The kernel that simulates servos from rest on their first set-point, or where they are seen.
 
     A thread simulates ``together`` of the rows in ``order``. With ``pairs``, and without effects,
     it simulates two rows with the same events at once: a core can execute the dependency chains of
@@ -137,6 +143,12 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
             if (others & wp.static(wp.int64(TRAIN_BITS))) != wp.int64(0):
                 g = train_of(inertia, p, _LEAST_SIDE)
                 state = train_at_rest(state, u, kp, p, z, others)
+            begin = grid[signal[row], 3]
+            if not wp.isnan(begin):
+                z[wp.static(HELD_CELL)] = state[2]
+                begin -= measured(state, zero, zero, p, z, others)
+                state = displaced(state, begin, kp)
+                state_b = displaced(state_b, grid[signal[row], 3] - state_b[0], kp_b)
             angle = wp.float64(state[0])
             following = others & wp.static(wp.int64(FOLLOWING_BITS))
             start = t[0]

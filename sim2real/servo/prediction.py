@@ -27,6 +27,7 @@ def predict(
     command: Mapping[str, Array],
     loads: Mapping[str, Load] | None = None,
     *,
+    measured: Mapping[str, Array] | None = None,
     where: str = "commands",
 ) -> dict[str, Array]:
     """Measured angles in rad, shape (T,), of each joint that the model predicts.
@@ -39,6 +40,8 @@ def predict(
         t: Times in s, shape (T,).
         command: Set-points in rad by joint, each of shape (T,).
         loads: Loads by joint; for other joints, the load in the model.
+        measured: Measured angles in rad by joint, each of shape (T,), NaN where missing: a joint
+            starts where it is before its set-points change. By default it rests on the first one.
         where: Origin of the commands, for messages.
 
     Raises:
@@ -60,7 +63,7 @@ def predict(
     for joint, sent in command.items():
         origin = f"model, {joint}"
         row = joint_row(model.joints[joint], (loads or {}).get(joint), where=origin)
-        angles[joint] = rollout(row[None], t, sent)[0]
+        angles[joint] = rollout(row[None], t, sent, measured=(measured or {}).get(joint))[0]
         if not np.isfinite(angles[joint][np.isfinite(sent)]).all():
             raise InputError(where, origin, "angles that grow without bound", "a stable servo")
     return angles
@@ -111,7 +114,7 @@ class Prediction(NotebookDisplay):
 
 
 def predict_recordings(recordings: Sequence[Recording], model: Model) -> Prediction:
-    """Simulate a model from rest on the commands of recordings; InputError as ``predict``."""
+    """Simulate a model on the commands of recordings, from where their joints start."""
     predicted = (_predicted(model, recording, recording.commands) for recording in recordings)
     angles = tuple(np.stack(list(each.values()), axis=1) for each in predicted)
     return Prediction(tuple(recordings), angles)
@@ -124,7 +127,10 @@ def _predicted(
     context = context_of(*at_one_gain([recording], model.firmware_p_gain))
     joints = {name: in_context(joint, **context) for name, joint in model.joints.items()}
     fitted = replace(model, joints=joints)
-    return predict(fitted, recording.t, command, recording.loads, where=recording.file)
+    measured = dict(zip(recording.joints, recording.position.T, strict=True))
+    return predict(
+        fitted, recording.t, command, recording.loads, measured=measured, where=recording.file
+    )
 
 
 @dataclass(frozen=True)

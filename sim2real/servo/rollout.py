@@ -43,11 +43,12 @@ def rollout(
     t: Array,
     command: Array,
     *,
+    measured: Array | None = None,
     varying: VaryingLoad | None = None,
     steps_per_radian: float = STEPS_PER_RADIAN,
     substep_s: float | Array | None = None,
 ) -> Array:
-    """Simulate servos from rest on their first command.
+    """Simulate servos from rest on their first command, or where friction is seen to hold them.
 
     The integration stops at every sample and at every arrival of a set-point, so that the latency
     is not rounded and no change of the command falls inside a sub-step.
@@ -56,6 +57,8 @@ def rollout(
         theta: Parameters of B servos, shape (B, P), in the order of ``COLUMNS``.
         t: Times of commands and samples in s, shape (T,), increasing.
         command: Set-points in rad sent at ``t``, shape (T,); NaN where the torque is off.
+        measured: Measured angles in rad, shape (T,), of which those before the first change of the
+            command show where the servo starts; NaN where missing.
         varying: Load that varies with time, around the mean inertia that ``theta`` has.
         steps_per_radian: Sub-steps per radian of the fastest mode's phase.
         substep_s: Longest sub-step in s, for all rows or of shape (B,); by default determined
@@ -69,9 +72,9 @@ def rollout(
     if longest is None:
         steps = np.where(active_effects(rows) != 0, 2 * steps_per_radian, steps_per_radian)
         longest = longest_substep(rows, rows[:, BASE.index("inertia_kgm2")], steps)
-    nothing = np.full(t.size, np.nan)
-    used = np.zeros(t.size, dtype=bool)
-    trace = Trace("", "", t, command, nothing, Load(0.0), used, varying=varying)
+    angles = np.full(t.size, np.nan) if measured is None else measured
+    used = np.isfinite(angles)
+    trace = Trace("", "", t, command, angles, Load(0.0), used, varying=varying)
     return np.asarray(Simulator([trace], add_loads=True).run(rows, longest).numpy())
 
 
@@ -79,7 +82,10 @@ def rollout_on(trace: Trace, theta: Array, *, substep_s: float | None = None) ->
     """Measured angles in rad of servos (B, P) on a recording's commands and load, shape (B, T)."""
     factor, offset = trace_contexts([trace])
     rows = theta * factor + offset
-    return rollout(rows, trace.t, trace.command, varying=trace.varying, substep_s=substep_s)
+    return rollout(
+        rows, trace.t, trace.command, measured=trace.measured, varying=trace.varying,
+        substep_s=substep_s,
+    )  # fmt: skip
 
 
 def longest_substep(
@@ -116,7 +122,8 @@ def padded(traces: Sequence[Trace]) -> tuple[Signals, Array, Array]:
     Returns:
         Times in s and set-points in rad, 0 beyond the end, shape (S, T), numbers of samples (S,);
         of loads that vary, time from the first value to the first sample in s, time between values
-        in s, 0 for a constant load, and number of values, shape (S, 3), and inertia in kg m2 beyond
+        in s, 0 for a constant load, number of values, and angle in rad at which the joint starts,
+        NaN for rest on the first set-point, shape (S, 4), and inertia in kg m2 beyond
         the mean and torque in N m, shape (S, K, 2); measured angles in rad, NaN where not used, (S,
         T); inertia in kg m2 and gravity torque in N m of the loads, shape (S, 2).
     """
@@ -126,11 +133,12 @@ def padded(traces: Sequence[Trace]) -> tuple[Signals, Array, Array]:
         part = np.s_[s, : trace.t.size]
         t[part], command[part], position[part] = trace.t, trace.command, trace.measured
     load = np.array([[x.load.inertia_kgm2, x.load.gravity_Nm] for x in traces])
-    grid, varying = np.zeros((len(traces), 3)), [x.varying for x in traces]
+    grid, varying = np.zeros((len(traces), 4)), [x.varying for x in traces]
     values = np.zeros((len(traces), max((x.torque_Nm.size for x in varying if x), default=1), 2))
+    grid[:, 3] = [trace.start_rad for trace in traces]
     for s, change in enumerate(varying):
         if change is not None:
-            grid[s] = t[s, 0] - change.start_s, change.step_s, change.torque_Nm.size
+            grid[s, :3] = t[s, 0] - change.start_s, change.step_s, change.torque_Nm.size
             beyond = change.inertia_kgm2 - change.mean_inertia_kgm2
             values[s, : beyond.size] = np.stack([beyond, change.torque_Nm], axis=1)
     return (t, command, length, grid, values), position, load

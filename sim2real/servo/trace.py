@@ -113,6 +113,17 @@ class Trace:
         """Standard deviation of the sensor's noise, see ``noise.noise_floor``."""
         return noise_floor(self.t, self.command, self.position)
 
+    @cached_property
+    def start_rad(self) -> float:
+        """Angle at which friction holds the joint until set-points change, rad; NaN if unknown."""
+        changes = np.flatnonzero(np.diff(self.command))
+        angles = self.measured[: changes[0] + 1 if changes.size else 0]
+        angles = angles[np.isfinite(angles)]
+        if not angles.size:
+            return np.nan
+        low, middle, high = np.quantile(angles, (0.1, 0.5, 0.9))
+        return float(middle) if high - low <= 4 * self.noise_floor_rad else np.nan
+
     def speed(self, *, samples: int = 5) -> Array:
         """Mean speed of the measured angle around each sample, rad/s, shape (T,)."""
         angle = np.interp(self.t, self.t[self.used], self.position[self.used])

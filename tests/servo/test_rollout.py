@@ -104,6 +104,16 @@ def test_starts_in_balance_with_a_pendulum():
     assert KP * (0.8 - angle[0]) == pytest.approx(0.48 * np.sin(angle[0]), abs=1e-9)
 
 
+def test_starts_where_friction_is_seen_to_hold_the_joint(clock):
+    command, held = square(clock), np.where(clock < 0.3, 0.02, np.nan)
+    friction = {"coulomb_friction.torque_Nm": 0.1}  # kp times 0.02 rad are 0.044 N m
+    started = rollout(theta(**friction), clock, command, measured=held)[0]
+    assert np.abs(started[clock < 0.3] - 0.02).max() < 1e-9
+    free = rollout(theta(), clock, command, measured=held)[0]
+    assert free[0] == pytest.approx(0.02)
+    assert np.abs(free[(clock > 0.25) & (clock < 0.3)]).max() < 1e-3
+
+
 def test_swings_freely_once_the_torque_is_off():
     t = 0.005 * np.arange(2000)
     command = np.where(t < 1.0, 0.1, np.nan)
