@@ -42,8 +42,8 @@ def models_with_limits(
 ) -> dict[int, JointModel]:
     """Plain models with their motor's limit, of joints that reach it.
 
-    The limit is a line of torque and speed, or flat: the data sheet's torque at any speed. It
-    competes with the effects of the catalogue: it joins what explains each joint best at first
+    The limit is a line of torque and speed, or flat: the data sheet's torque at any speed. A line
+    may have a lower limit of current as well, which is left to the search. The limit competes with the effects of the catalogue: it joins what explains each joint best at first
     sight, or stands in for one of its effects, and is there where no further effect explains more.
     Where slow errors are part of the noise it is an effect like others, found by the search: little
     of what tells it from a limited set-point shows at first sight.
@@ -64,7 +64,9 @@ def models_with_limits(
             continue
         law: Law = "motor"
         theta = limit.fit.servos.theta[0]
-        if theta[FLAT_COLUMNS[0]] > 0 and SATURATION in limit.members:
+        if theta[LINE_COLUMNS].any():
+            theta = np.where(np.isin(np.arange(theta.size), FLAT_COLUMNS), 0.0, theta)
+        elif SATURATION in limit.members:
             theta, law = without_flat_limit(theta), "current_limited"
         models[known.case] = stated(theta, joint.traces[0].load, law=law)
     return models
@@ -94,6 +96,9 @@ def _limits(
     line[LINE_COLUMNS] = joint.stall_Nm, joint.servo.no_load_speed_rad_s
     line[FLAT_COLUMNS] = 0.0
     yield _fitted(search, tried, members - {SATURATION}, line)
+    line[FLAT_COLUMNS] = 0.5 * joint.stall_Nm, 0.05
+    both = _fitted(search, tried, members | {SATURATION}, line)
+    yield replace(both, evidence=both.evidence - DECISION.decisive_gain)
     flat = tried.best.fit.servos.theta[0].copy()
     flat[FLAT_COLUMNS] = joint.stall_Nm, 1.0
     found = _fitted(search, tried, members | {SATURATION}, flat)
