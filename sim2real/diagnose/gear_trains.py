@@ -106,7 +106,7 @@ def _follow(
             mine = np.flatnonzero(seen.candidate == k)
             mine = mine[np.argsort(-full[mine], kind="stable")]
             starts = option.starts[seen.start[mine]]
-            branch = np.stack([option.of(name, seen.start[mine]) > 0 for name in BRANCHES], axis=1)
+            branch = option.branches(BRANCHES, seen.start[mine])
             for one in np.unique(branch, axis=0):
                 here = starts[(branch == one).all(axis=1)]
                 first = np.sort(np.unique(here[:, 0], return_index=True)[1])[:most]

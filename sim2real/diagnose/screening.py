@@ -32,10 +32,11 @@ class Candidate:
     unit: Array  # their natural sizes, shape (K,)
     starts: Array  # values to start from, shape (S, K)
 
-    def of(self, name: str, some: Index) -> Array:
-        """Values of a parameter in some of the starts, 0 if the effect does not have it."""
-        names = [p.name for p in self.effect.parameters]
-        return self.starts[some, names.index(name)] if name in names else np.zeros(len(some))
+    def branches(self, names: Sequence[str], some: Index) -> Mask:
+        """Which of these parameters some of the starts have above 0, shape (M, N)."""
+        own = [p.name for p in self.effect.parameters]
+        of = [self.starts[some, own.index(x)] if x in own else np.zeros(len(some)) for x in names]
+        return np.stack(of, axis=1) > 0
 
 
 def candidate(effect: Effect, kp: float, inertia: float, *, apart: float = 1.5) -> Candidate:
