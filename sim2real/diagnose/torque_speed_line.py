@@ -11,6 +11,7 @@ from sim2real.arrays import Array
 from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.free_parameters import with_effects
+from sim2real.diagnose.gear_trains import of_inertia
 from sim2real.diagnose.rival_sets import StatedSet
 from sim2real.diagnose.screening import NUISANCES
 from sim2real.diagnose.servo_search import BLOCKS, ServoSearch, evidence_of
@@ -35,6 +36,8 @@ from sim2real.servo.trace import Trace
 
 _SET_POINT_SPEED = COLUMNS.index("rate_limit.limit_rad_s")
 _LARGER = np.linspace(1.0, 2.0, 26)
+_ROTORS = 0.05, 0.2, 0.4
+"""Inertia of rotors over that of the load to start from, where torques may show it."""
 _RIVALS = 6
 """Further effects with which a limit of the motor competes."""
 
@@ -45,10 +48,11 @@ def with_limits(
     """Joints that reach their motor's limit, with a plain model that has it.
 
     The limit is a line of torque and speed, or flat: the data sheet's torque at any speed. A line
-    may have a lower limit of current as well: an effect, tried by the search. The limit competes with the effects of the catalogue: it joins what explains each joint best at first
-    sight, or stands in for one of its effects, and is there where no further effect explains more.
-    Where slow errors are part of the noise it is an effect like others, found by the search: little
-    of what tells it from a limited set-point shows at first sight.
+    may have a lower limit of current as well: an effect, tried by the search. The limit competes
+    with the effects of the catalogue: it joins what explains each joint best at first sight, or
+    stands in for one of its effects, and is there where no further effect explains more. Where slow
+    errors are part of the noise it is an effect like others, found by the search: little of what
+    tells it from a limited set-point shows at first sight.
     """
     limited: dict[int, JointCase] = {}
     for joint, known in zip(joints, tried, strict=True):
@@ -68,8 +72,9 @@ def with_limits(
         theta, also = limit.fit.servos.theta[0].copy(), joint.stated
         if theta[LINE_COLUMNS].any() and SATURATION in limit.members:
             found = limit.members - {e.name for e in NUISANCES}
-            sets = found, found | {UNMODELLED_INERTIA}  # torques show how large the rotor is
-            also = (*also, *(StatedSet(members, theta.copy()) for members in sets))
+            rows = [of_inertia(theta, joint.traces[0].load.inertia_kgm2, x) for x in _ROTORS]
+            sets = [StatedSet(found | {UNMODELLED_INERTIA}, row) for row in rows]
+            also = (*also, StatedSet(found, theta.copy()), *sets)
             theta[FLAT_COLUMNS] = 0.0
         elif SATURATION in limit.members:
             theta, law = without_flat_limit(theta), "current_limited"
