@@ -41,7 +41,7 @@ _STARTS = {
     "compliance_rad_per_Nm": (0.3, 1.0, 3.0, 10.0),
     _ROTOR_NAME: (0.2, 0.4, 0.8, 1.4, 2.4),
     _OUTPUT_FRICTION: (0.0, 0.5, 1.0),
-    CONTROL_SIDE: (0.0, 1.0),
+    CONTROL_SIDE: (0.0, 0.5, 1.0),
     "sensor_on_output": (0.0, 1.0),
     "restitution": (0.0, 0.8, 1.2, 1.6),
     "damping_ratio": (1.0, 4.0),

@@ -12,6 +12,7 @@ from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.free_parameters import (
     BRANCH_COLUMNS,
     BRANCHES,
+    SIDE_COLUMNS,
     as_read,
     own_parameters,
     with_effects,
@@ -177,7 +178,10 @@ class ServoSearch:
             for tried, members, theta in jobs
         ]
         rough = minimise(self.batch, stacked(servos), iterations=5, blocks=BLOCKS)
-        of = [(x.case, s, (*(row[BRANCH_COLUMNS] > 0), row[_GAP])) for x, s, row in jobs]
+        of = [
+            (x.case, s, (*(row[BRANCH_COLUMNS] > 0), *row[SIDE_COLUMNS], row[_GAP]))
+            for x, s, row in jobs
+        ]
         sets = list(dict.fromkeys(of))
         place = np.array([sets.index(one) for one in of])
         order = np.lexsort((rough.error2, place))
