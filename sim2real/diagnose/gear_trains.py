@@ -100,7 +100,7 @@ def _follow(
         screens = problem.screened([place[:2] for place in places], [place[2] for place in places])
     jobs: list[Job] = []
     for (tried, h, options), seen in zip(places, screens, strict=True):
-        with np.errstate(invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):
             full = seen.score * seen.visible - 0.5 * seen.visible**2  # gains in log-likelihood
         for k, option in enumerate(options):
             mine = np.flatnonzero(seen.candidate == k)

@@ -355,8 +355,8 @@ def variants(servos: Servos) -> Problems:
     column = servos.columns[row, place]
     value = servos.theta[row, column]
     # The step is towards the inside of the bounds.
-    rough = (servos.theta[:, _ROUGH] > 0).any(axis=1)
-    step = np.where(rough[row], CONTACT_DIFFERENCE, DIFFERENCE)
+    rough = np.any(servos.theta[:, _ROUGH] > 0, axis=1)
+    step = np.where(rough, CONTACT_DIFFERENCE, DIFFERENCE)[row]
     size = step * servos.unit[row, place]
     size = np.where(value + size > servos.high[row, place], -size, size)
     theta[row, 1 + place, column] = value + size
