@@ -29,7 +29,7 @@ from sim2real.diagnose.result import Diagnosis
 from sim2real.diagnose.rival_sets import with_open_sets
 from sim2real.diagnose.screening import NUISANCES
 from sim2real.diagnose.servo_search import ServoSearch, baselines, plain_sets
-from sim2real.diagnose.torque_speed_line import models_with_limits
+from sim2real.diagnose.torque_speed_line import with_limits
 from sim2real.diagnose.wording import diagnosis, with_checks
 from sim2real.effects import named
 from sim2real.identification.held_out import Unseen, held_out
@@ -222,14 +222,14 @@ def _first_look(
     joints = list(joints)
     batch = batch_of(joints)
     tried, search = _looked(batch, joints, rng)
-    lines = models_with_limits(search, joints, tried)
-    changed = set(lines)
+    limited = with_limits(search, joints, tried)
+    changed = set(limited)
     for j, joint in enumerate(joints):
         row = tried[j].best.fit.servos.theta[0]
         kept = [without_releases(x, simulated(x, row)) for x in joint.traces]
         if any(new is not old for new, old in zip(kept, joint.traces, strict=True)):
             changed.add(j)
-        joints[j] = replace(joint, traces=kept, model=lines.get(j, joint.model))
+        joints[j] = replace(limited.get(j, joint), traces=kept)
     order = sorted(changed)
     if order:
         some = [joints[j] for j in order]

@@ -10,9 +10,9 @@ from sim2real.effects import named
 from sim2real.identification.servo_problem import Servos, Set
 from sim2real.servo.parameters import COLUMNS, CONTROL_SIDE, FIRST_EFFECT_COLUMN
 
-BRANCHES = CONTROL_SIDE, "restitution"
-"""Parameters of gear trains whose fits have a branch at 0 and another one."""
-_SIDES, BRANCH_COLUMNS = (
+BRANCHES = CONTROL_SIDE, "restitution", "step_share"
+"""Parameters whose fits have a branch at 0 and another one: of gear trains, of dead bands."""
+SIDE_COLUMNS, BRANCH_COLUMNS = (
     [k for k, name in enumerate(COLUMNS) if name.rpartition(".")[2] in some]
     for some in ((CONTROL_SIDE,), BRANCHES)
 )
@@ -55,9 +55,9 @@ def with_effects(
 
 
 def in_its_branch(row: Array, columns: Integers) -> Mask:
-    """Which parameters of a row (P,) stay as they are: the controller's side, rebounds of 0."""
+    """Which parameters of a row (P,) stay as they are: the controller's side, branches at 0."""
     return np.asarray(
-        np.isin(columns, _SIDES) | np.isin(columns, BRANCH_COLUMNS) & (row[columns] == 0)
+        np.isin(columns, SIDE_COLUMNS) | np.isin(columns, BRANCH_COLUMNS) & (row[columns] == 0)
     )
 
 

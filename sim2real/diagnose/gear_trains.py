@@ -23,10 +23,10 @@ from sim2real.effects import named
 from sim2real.identification.servo_problem import Hypothesis, Set, Tried
 from sim2real.inference.parameters import kronecker
 from sim2real.servo.parameters import (
+    BASE,
     COLUMNS,
     CONTROL_SIDE,
     FIRST_COLUMN,
-    FIRST_EFFECT_COLUMN,
     INERTIA_LEFT_OUT,
     TRAIN_ROTORS,
     TRAINS,
@@ -41,7 +41,7 @@ _STARTS = {
     "compliance_rad_per_Nm": (0.3, 1.0, 3.0, 10.0),
     _ROTOR_NAME: (0.2, 0.4, 0.8, 1.4, 2.4),
     _OUTPUT_FRICTION: (0.0, 0.5, 1.0),
-    CONTROL_SIDE: (0.0, 1.0),
+    CONTROL_SIDE: (0.0, 0.5, 1.0),
     "sensor_on_output": (0.0, 1.0),
     "restitution": (0.0, 0.8, 1.2, 1.6),
     "damping_ratio": (1.0, 4.0),
@@ -56,7 +56,7 @@ _SCALES = [
     for k, name in enumerate(COLUMNS)
     if k < 2
     or k in TRAIN_ROTORS
-    or (k >= FIRST_EFFECT_COLUMN and unit_of(name.partition(".")[2]).startswith("N m"))
+    or (k >= len(BASE) and unit_of(name.partition(".")[2]).startswith("N m"))
 ]
 """Columns of gains, torques and rotors, which are in proportion to the inertia."""
 
@@ -100,13 +100,13 @@ def _follow(
         screens = problem.screened([place[:2] for place in places], [place[2] for place in places])
     jobs: list[Job] = []
     for (tried, h, options), seen in zip(places, screens, strict=True):
-        with np.errstate(invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):
             full = seen.score * seen.visible - 0.5 * seen.visible**2  # gains in log-likelihood
         for k, option in enumerate(options):
             mine = np.flatnonzero(seen.candidate == k)
             mine = mine[np.argsort(-full[mine], kind="stable")]
             starts = option.starts[seen.start[mine]]
-            branch = np.stack([option.of(name, seen.start[mine]) > 0 for name in BRANCHES], axis=1)
+            branch = option.branches(BRANCHES, seen.start[mine])
             for one in np.unique(branch, axis=0):
                 here = starts[(branch == one).all(axis=1)]
                 first = np.sort(np.unique(here[:, 0], return_index=True)[1])[:most]
@@ -120,13 +120,13 @@ def _follow(
     problem.try_all(jobs, free=True)
 
 
-def _scaled(theta: Array, load_kgm2: float) -> Array:
-    """A row (P,) that moves the same with no inertia in addition to the stated load."""
+def of_inertia(theta: Array, load_kgm2: float, share: float = 0.0) -> Array:
+    """A row (P,) that moves the same with another inertia beside the load, a share of it."""
     row = theta.copy()
-    factor = load_kgm2 / (load_kgm2 + row[INERTIA_LEFT_OUT])
+    factor = load_kgm2 * (1 + share) / (load_kgm2 + row[INERTIA_LEFT_OUT])
     row[_SCALES] *= factor
     row[_SPRING] /= factor
-    row[INERTIA_LEFT_OUT] = 0.0
+    row[INERTIA_LEFT_OUT] = share * load_kgm2
     return row
 
 
@@ -145,7 +145,7 @@ def _whole_loads(problem: ServoSearch, some: Sequence[Tried]) -> Iterator[Job]:
     for tried in some:
         if UNMODELLED_INERTIA not in tried.base:
             for h in _with_train(tried):
-                theta = _scaled(h.fit.servos.theta[0], problem.strength(tried)[1])
+                theta = of_inertia(h.fit.servos.theta[0], problem.strength(tried)[1])
                 yield tried, h.members - {UNMODELLED_INERTIA}, theta
 
 

@@ -13,7 +13,7 @@ from sim2real.effects import CATALOGUE, named
 from sim2real.effects.effect import SHAPES, SIGNED, STRENGTHS, Effect, scaled
 from sim2real.identification.servo_problem import Fits, variants
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.parameters import COLUMNS
+from sim2real.servo.parameters import COLUMNS, CONTROL_SIDE
 
 FITTED: tuple[Effect, ...] = tuple(e for e in CATALOGUE if e.fitted and not e.never_named)
 """Effects whose parameters a fit finds, and that may be named."""
@@ -32,10 +32,16 @@ class Candidate:
     unit: Array  # their natural sizes, shape (K,)
     starts: Array  # values to start from, shape (S, K)
 
-    def of(self, name: str, some: Index) -> Array:
-        """Values of a parameter in some of the starts, 0 if the effect does not have it."""
-        names = [p.name for p in self.effect.parameters]
-        return self.starts[some, names.index(name)] if name in names else np.zeros(len(some))
+    def branches(self, names: Sequence[str], some: Index) -> Array:
+        """Branches that some of the starts are in, by these parameters, shape (M, N).
+
+        1 where they are above 0; the controller's side is its own branch.
+        """
+        own = [p.name for p in self.effect.parameters]
+        of = [self.starts[some, own.index(x)] if x in own else np.zeros(len(some)) for x in names]
+        sides = [x == CONTROL_SIDE for x in names]
+        values = np.stack(of, axis=1)
+        return np.where(sides, values, values > 0)
 
 
 def candidate(effect: Effect, kp: float, inertia: float, *, apart: float = 1.5) -> Candidate:

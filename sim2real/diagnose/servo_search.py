@@ -11,6 +11,8 @@ from sim2real.arrays import Array, Index, Mask
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.free_parameters import (
     BRANCH_COLUMNS,
+    BRANCHES,
+    SIDE_COLUMNS,
     as_read,
     own_parameters,
     with_effects,
@@ -35,7 +37,6 @@ from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import (
     BASE,
     COLUMNS,
-    CONTROL_SIDE,
     FIRST_COLUMN,
     TRAINS,
     joint_row,
@@ -150,9 +151,9 @@ class ServoSearch:
             visible = mine[seen.visible[mine] > self.limits.least_visible]
             if most is not None or seen.gain[best] > self.limits.hopeless_gain:
                 starts.append(best)
-            if most is None:  # a controller on either side of a gear train: fits of their own
-                side = option.of(CONTROL_SIDE, seen.start[mine])
-                others = mine[side != side[mine == best]]
+            if most is None:  # branches of an effect's law: fits of their own
+                branch = option.branches(BRANCHES, seen.start[mine])
+                others = mine[(branch != branch[mine == best]).any(axis=1)]
                 starts += [int(others[seen.gain[others].argmax()])] if others.size else []
             if weakest and visible.size and not option.effect.everywhere:
                 starts.append(int(visible[seen.visible[visible].argmin()]))
@@ -171,7 +172,7 @@ class ServoSearch:
     def refit(self, jobs: Sequence[Job], *, free: bool = False) -> list[Hypothesis]:
         """Refit sets of effects from parameter rows; the best of several starts stands for all.
 
-        Starts in different branches of a gear train's law (``BRANCHES``) and starts with different
+        Starts in different branches of an effect's law (``BRANCHES``) and starts with different
         gaps are fits of their own: motion across a gap has many minima.
         A set is given up where its case has a fit that it can't come near. ``free``: nothing is
         fixed.
@@ -189,7 +190,10 @@ class ServoSearch:
             for tried, members, theta in jobs
         ]
         rough = minimise(self.batch, stacked(servos), iterations=5, blocks=BLOCKS)
-        of = [(x.case, s, (*(row[BRANCH_COLUMNS] > 0), row[_GAP])) for x, s, row in jobs]
+        of = [
+            (x.case, s, (*(row[BRANCH_COLUMNS] > 0), *row[SIDE_COLUMNS], row[_GAP]))
+            for x, s, row in jobs
+        ]
         sets = list(dict.fromkeys(of))
         place = np.array([sets.index(one) for one in of])
         order = np.lexsort((rough.error2, place))

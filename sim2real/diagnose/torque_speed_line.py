@@ -8,9 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.diagnose.case import JointCase
+from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.free_parameters import with_effects
+from sim2real.diagnose.gear_trains import of_inertia
+from sim2real.diagnose.rival_sets import StatedSet
+from sim2real.diagnose.screening import NUISANCES
 from sim2real.diagnose.servo_search import BLOCKS, ServoSearch, evidence_of
 from sim2real.effects import named
 from sim2real.identification.problem import ServoProblem
@@ -25,7 +28,7 @@ from sim2real.identification.servo_problem import (
     plain_servos,
     without_flat_limit,
 )
-from sim2real.model import JointModel, Law
+from sim2real.model import Law
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
 from sim2real.servo.parameters import COLUMNS, stated
@@ -33,22 +36,25 @@ from sim2real.servo.trace import Trace
 
 _SET_POINT_SPEED = COLUMNS.index("rate_limit.limit_rad_s")
 _LARGER = np.linspace(1.0, 2.0, 26)
+_ROTORS = 0.05, 0.2, 0.4
+"""Inertia of rotors over that of the load to start from, where torques may show it."""
 _RIVALS = 6
 """Further effects with which a limit of the motor competes."""
 
 
-def models_with_limits(
+def with_limits(
     search: ServoSearch, joints: Sequence[JointCase], tried: Sequence[Tried]
-) -> dict[int, JointModel]:
-    """Plain models with their motor's limit, of joints that reach it.
+) -> dict[int, JointCase]:
+    """Joints that reach their motor's limit, with a plain model that has it.
 
-    The limit is a line of torque and speed, or flat: the data sheet's torque at any speed. It
-    competes with the effects of the catalogue: it joins what explains each joint best at first
-    sight, or stands in for one of its effects, and is there where no further effect explains more.
-    Where slow errors are part of the noise it is an effect like others, found by the search: little
-    of what tells it from a limited set-point shows at first sight.
+    The limit is a line of torque and speed, or flat: the data sheet's torque at any speed. A line
+    may have a lower limit of current as well: an effect, tried by the search. The limit competes
+    with the effects of the catalogue: it joins what explains each joint best at first sight, or
+    stands in for one of its effects, and is there where no further effect explains more. Where slow
+    errors are part of the noise it is an effect like others, found by the search: little of what
+    tells it from a limited set-point shows at first sight.
     """
-    models: dict[int, JointModel] = {}
+    limited: dict[int, JointCase] = {}
     for joint, known in zip(joints, tried, strict=True):
         row = known.best.fit.servos.theta[0]
         open_to_all = joint.references or joint.base or joint.traces[0].slow is not None
@@ -63,11 +69,18 @@ def models_with_limits(
         if limit is None:
             continue
         law: Law = "motor"
-        theta = limit.fit.servos.theta[0]
-        if theta[FLAT_COLUMNS[0]] > 0 and SATURATION in limit.members:
+        theta, also = limit.fit.servos.theta[0].copy(), joint.stated
+        if theta[LINE_COLUMNS].any() and SATURATION in limit.members:
+            found = limit.members - {e.name for e in NUISANCES}
+            rows = [of_inertia(theta, joint.traces[0].load.inertia_kgm2, x) for x in _ROTORS]
+            sets = [StatedSet(found | {UNMODELLED_INERTIA}, row) for row in rows]
+            also = (*also, StatedSet(found, theta.copy()), *sets)
+            theta[FLAT_COLUMNS] = 0.0
+        elif SATURATION in limit.members:
             theta, law = without_flat_limit(theta), "current_limited"
-        models[known.case] = stated(theta, joint.traces[0].load, law=law)
-    return models
+        model = stated(theta, joint.traces[0].load, law=law)
+        limited[known.case] = replace(joint, model=model, stated=also)
+    return limited
 
 
 def _better_limit(search: ServoSearch, joint: JointCase, tried: Tried) -> Hypothesis | None:
@@ -94,6 +107,9 @@ def _limits(
     line[LINE_COLUMNS] = joint.stall_Nm, joint.servo.no_load_speed_rad_s
     line[FLAT_COLUMNS] = 0.0
     yield _fitted(search, tried, members - {SATURATION}, line)
+    line[FLAT_COLUMNS] = 0.5 * joint.stall_Nm, 0.05
+    both = _fitted(search, tried, members | {SATURATION}, line)
+    yield replace(both, evidence=both.evidence - DECISION.decisive_gain)
     flat = tried.best.fit.servos.theta[0].copy()
     flat[FLAT_COLUMNS] = joint.stall_Nm, 1.0
     found = _fitted(search, tried, members | {SATURATION}, flat)

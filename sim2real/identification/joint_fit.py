@@ -113,9 +113,9 @@ def fit_effects(
     own = plain_parameters(traces, plain.row)
     rows = [plain.row]
     sides = [COLUMNS.index(f"{e.name}.{CONTROL_SIDE}") for e in effects if e.name in TRAINS]
-    if sides:
+    for side in (0.5, 1.0) if sides else ():
         rows.append(plain.row.copy())
-        rows[1][sides] = 1.0
+        rows[-1][sides] = side
     fits = []
     for row in rows:
         problem = ServoProblem(traces, row, (*own, *added))

@@ -36,10 +36,11 @@ FLAT_COLUMNS = np.array([COLUMNS.index(f"{SATURATION}.{x}") for x in ("limit_Nm"
 LINE_ROOM = 1.5
 """Largest factor by which a fitted limit may differ from its starting value."""
 DIFFERENCE, CONTACT_DIFFERENCE = 2e-4, 0.02
-"""Steps of the forward differences, in units; the second where gears have a gap.
+"""Steps of the forward differences, in units; the second where gears have a gap or a dead band
+switches.
 
 Single contacts make the error a rough function of the parameters: a step averages over it."""
-_GAP = FIRST_COLUMN["backlash"]
+_ROUGH = [FIRST_COLUMN["backlash"], COLUMNS.index("deadband.step_share")]
 
 
 @dataclass(frozen=True)
@@ -354,7 +355,8 @@ def variants(servos: Servos) -> Problems:
     column = servos.columns[row, place]
     value = servos.theta[row, column]
     # The step is towards the inside of the bounds.
-    step = np.where(servos.theta[row, _GAP] > 0, CONTACT_DIFFERENCE, DIFFERENCE)
+    rough = np.any(servos.theta[:, _ROUGH] > 0, axis=1)
+    step = np.where(rough, CONTACT_DIFFERENCE, DIFFERENCE)[row]
     size = step * servos.unit[row, place]
     size = np.where(value + size > servos.high[row, place], -size, size)
     theta[row, 1 + place, column] = value + size

@@ -199,9 +199,11 @@ def train_cell(active: wp.int64) -> int:
 
 
 @wp.func
-def controlled_side(p: Row) -> F:
-    """1 where the controller sees the output, 0 where it sees the motor."""
-    return wp.max(p[wp.static(_GAP + 3)], p[wp.static(_SPRING + 3)])
+def controlled_side(p: Row) -> wp.vec2d:
+    """1 where the controller sees the output, 0 where it sees the motor: its angle, its speed."""
+    twice = wp.float64(2.0) * wp.max(p[wp.static(_GAP + 3)], p[wp.static(_SPRING + 3)])
+    one = wp.float64(1.0)
+    return wp.vec2d(wp.min(twice, one), wp.max(twice - one, wp.float64(0.0)))
 
 
 @wp.func
@@ -222,7 +224,9 @@ def train_of(inertia: F, p: Row, least: F) -> Train:
     g.half_gap = wp.float64(0.5) * p[wp.static(_GAP)]
     g.friction = p[wp.static(_GAP + 2)]
     g.restitution = p[wp.static(_GAP + 4)]
-    g.seen = controlled_side(p)
+    side = controlled_side(p)
+    g.seen = side[0]
+    g.seen_speed = side[1]
     if p[wp.static(_SPRING)] > wp.float64(0.0):
         g.stiffness = wp.float64(1.0) / p[wp.static(_SPRING)]
         reduced = g.motor * g.output_share
@@ -242,7 +246,7 @@ def train_at_rest(state: wp.vec4d, u: F, kp: F, p: Row, z: Row, active: wp.int64
     """
     cell = train_cell(active)
     q = state[0]
-    seen = controlled_side(p)
+    seen = controlled_side(p)[0]
     for _ in range(8):
         carried = -pendulum_torque(q - z[cell], p[4]) - z[wp.static(LOAD_CELL)]
         z[cell] = p[wp.static(_SPRING)] * carried
@@ -293,7 +297,7 @@ def train_substep(
     rate = z[cell + 1]
     output = q - lead - half * rate
     seen = q - g.seen * (q - output)  # by the controller
-    seen_speed = speed - g.seen * rate
+    seen_speed = speed - g.seen_speed * rate
     weight = pendulum_torque(output, p[4]) + z[wp.static(LOAD_CELL)]
     error = command_in_force(u, seen, seen_speed, state[2], time, h, p, z, others) - seen
     error = error_seen(error, seen, seen_speed, state[2], time, h, p, z, others)
@@ -303,16 +307,17 @@ def train_substep(
     push.damping = kd
     push.stiffness = kp
     push.seen = g.seen
-    push.seen_damping = g.seen * kd
+    push.seen_damping = g.seen_speed * kd
     dry = zero
     if (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0):
         if kp > zero:
-            push = drive_push(kp, kd, error, half, v - g.seen * rate, seen_speed, tick, m, z)
+            at_start = v - g.seen_speed * rate
+            push = drive_push(kp, kd, error, half, at_start, seen_speed, tick, m, z)
             if push.stiffness > zero:  # else what damps is the motor's back-EMF alone
                 push.seen = g.seen
-                push.seen_damping = g.seen * kd
+                push.seen_damping = g.seen_speed * kd
                 if m.line > zero:
-                    push.seen_damping = g.seen * (kd - m.line)
+                    push.seen_damping = g.seen_speed * (kd - m.line)
             weaker = wp.float64(1.0) / resistance(push, speed, m)
             push.torque *= weaker
             push.damping *= weaker

@@ -16,7 +16,7 @@ class Train:
     ``stiffness`` of the spring is in N m/rad, 0 where the flanks are rigid, and ``damper`` in
     N m s; ``friction`` is the bound of dry friction on the output, N m; ``restitution`` the ratio
     of the rates after and before an impact; ``seen`` is 1 where the controller sees the output's
-    angle and 0 where it sees the motor's.
+    angle and 0 where it sees the motor's, ``seen_speed`` the same for the speed.
     """
 
     motor: wp.float64
@@ -29,6 +29,7 @@ class Train:
     friction: wp.float64
     restitution: wp.float64
     seen: wp.float64
+    seen_speed: wp.float64
 
 
 @wp.func

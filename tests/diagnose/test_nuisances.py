@@ -108,29 +108,39 @@ def test_an_error_of_the_sensor_is_found_beside_cogging(effect, parameter, value
     np.testing.assert_array_equal(start[waves], found.plain.fit.servos.theta[0, waves])
 
 
-def lined(stall_Nm):
-    """The line that a first look finds of a servo whose friction is most of what it lacks."""
-    motor = {"stall_torque_Nm": stall_Nm, "no_load_speed_rad_s": 20.0}
-    theta = joint_row(
-        JointModel(KP, KD, LATENCY, INERTIA, law="motor", motor=motor,
-                   effects=(FittedEffect("coulomb_friction", {"torque_Nm": 0.08}),)), None,
-    )  # fmt: skip
+def lined(stall_Nm, no_load=20.0, **effects):
+    """The joint, after a first look, of a servo on a line of torque over speed."""
+    motor = {"stall_torque_Nm": stall_Nm, "no_load_speed_rad_s": no_load}
+    fitted = tuple(FittedEffect(name, values) for name, values in effects.items())
+    model = JointModel(KP, KD, LATENCY, INERTIA, law="motor", motor=motor, effects=fitted)
     rng, traces = np.random.default_rng(0), []
     for k in range(2):
         bare = traced(k, "ab"[k])
-        angle = rollout(theta[None], bare.t, bare.command)[0]
+        angle = rollout(joint_row(model, None)[None], bare.t, bare.command)[0]
         traces.append(replace(bare, position=angle + rng.normal(0, NOISE, angle.size)))
-    servo = Servo("s", 1.05 * stall_Nm, 21.0, 0.0)
+    servo = Servo("s", 1.05 * stall_Nm, 1.05 * no_load, 0.0)
     (joint,), _ = _first_look([JointCase("j1", traces, NOISE, None, servo=servo)], rng)
-    return joint.model.motor if joint.model else None
+    return joint
+
+
+RUBBING = {"coulomb_friction": {"torque_Nm": 0.08}}
 
 
 def test_friction_does_not_hide_that_the_motor_reaches_its_line():
-    assert lined(0.8)["stall_torque_Nm"] == pytest.approx(0.8, rel=0.15)
+    motor = lined(0.8, **RUBBING).model.motor
+    assert motor["stall_torque_Nm"] == pytest.approx(0.8, rel=0.15)
+
+
+def test_a_lower_limit_of_current_is_tried_on_the_line():
+    joint = lined(0.4, 7.0, torque_saturation={"limit_Nm": 0.15, "free_damping": 0.0})
+    assert joint.model.motor["no_load_speed_rad_s"] == pytest.approx(7.0, rel=0.1)
+    with_rotor = joint.stated[-1]
+    assert with_rotor.effects >= {"torque_saturation", "unmodelled_inertia"}
+    assert with_rotor.theta[COLUMNS.index("unmodelled_inertia.inertia_kgm2")] > 0
 
 
 def test_a_motor_that_stays_below_its_line_shows_none():
-    assert lined(3.0) is None
+    assert lined(3.0, **RUBBING).model is None
 
 
 LOAD, ROTOR = Load(INERTIA, 0.1, 0.1), 0.6 * INERTIA

@@ -14,7 +14,7 @@ from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.gear_train import SPRING_DAMPING
-from sim2real.servo.parameters import COLUMNS, context_factors, joint_row, stated
+from sim2real.servo.parameters import COLUMNS, LINE, context_factors, joint_row, stated
 from sim2real.servo.prediction import predict_recordings
 from sim2real.servo.rollout import rollout, rollout_on
 from sim2real.servo.trace import reported_drive, trace
@@ -238,3 +238,17 @@ def test_a_context_that_is_none_is_refused_in_one_line():
 def test_an_unknown_parameter_of_the_motor_is_refused():
     joint = replace(stated(row(), Load(INERTIA)), law="motor", motor={"stall_torque": 1.0})
     message(lambda: predict_recordings([recording()], Model({"j1": joint})), "'stall_torque'")
+
+
+def test_a_controller_that_sees_the_output_s_angle_alone_is_damped_by_the_motor():
+    """As with a back-EMF that is all of the damping, which acts on the motor's speed."""
+    row = joint_row(JointModel(2.2, 0.06, 0.02, 0.002), None)
+    gap = [COLUMNS.index(f"backlash.{x}") for x in ("gap_rad", "rotor_inertia_kgm2")]
+    row[gap] = 0.03, 4e-4
+    half, back_emf = row.copy(), row.copy()
+    half[COLUMNS.index("backlash.control_on_output")] = 0.5
+    back_emf[COLUMNS.index("backlash.control_on_output")] = 1.0
+    back_emf[[COLUMNS.index(x) for x in LINE]] = 60.0, 1000.0
+    t = 0.01 * np.arange(100)
+    angles = rollout(np.stack([half, back_emf]), t, 0.5 * (t > 0.1))
+    np.testing.assert_allclose(angles[0], angles[1], atol=1e-9)

@@ -2,7 +2,8 @@
 
 Two masses and a dead zone with rigid flanks, dry friction on either side: ``servo.gear_train``,
 after Nordin, Gutman, Automatica 38 (2002) 1633-1649, Sec. 2. ``control_on_output`` is 1 where the
-controller sees the output's angle, as in hobby servos, and 0 where it sees the motor's.
+controller sees the output's angle and speed, 0 where it sees the motor's, and 0.5 where it sees the
+output's angle and the motor is damped, by its back-EMF, as in hobby servos.
 ``restitution`` is the ratio of the relative speeds after and before an impact of the flanks.
 ``output_friction_Nm`` acts on the output's side, and holds the output in the gap; the friction of
 other effects acts on the motor's side. The angle is measured from the middle of the gap.
@@ -57,7 +58,7 @@ def cross(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
     before = z[s]
     one = wp.float64(1.0)
     per = h / (share * p[3])
-    seen = load_share - p[c + 3]  # of the lead, by the controller
+    seen = load_share - wp.min(wp.float64(2.0) * p[c + 3], one)  # of the lead, by the controller
     felt = seen / (one + wp.float64(0.5) * h * p[1] / p[3])  # as the common motion gives way
     push = x - felt * p[0] * (before - z[s + 2])
     if load_share > wp.float64(0.0) and p[4] != wp.float64(0.0):
@@ -104,7 +105,7 @@ EFFECT = Effect(
         Parameter("gap_rad", low=0.0, high=0.3, typical=0.03),
         Parameter("rotor_inertia_kgm2", low=4e-5, high=0.02, typical=4e-4, starts=(1.0,)),
         Parameter("output_friction_Nm", low=0.0, high=1.0, typical=0.02, starts=(0.0, 1.0)),
-        Parameter("control_on_output", low=0.0, high=1.0, typical=1.0, starts=(0.0, 1.0)),
+        Parameter("control_on_output", low=0.0, high=1.0, typical=1.0, starts=(0.0, 0.5, 1.0)),
         Parameter("restitution", low=0.0, high=0.95, typical=0.5, starts=(0.0,)),
     ),
     memory=4,

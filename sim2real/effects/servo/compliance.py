@@ -3,8 +3,8 @@
 Two masses, a spring and a damper: ``servo.gear_train``, after Spong, Journal of Dynamic Systems 109
 (1987) 310-318. The friction of other effects acts on the motor's side, and that of backlash on the
 load's. ``sensor_on_output`` is 0 where the motor's angle is measured and 1 where the load's is;
-``control_on_output`` is the same for the angle that the controller sees. ``damping_ratio`` is that
-of the two masses on the spring, ``servo.gear_train.SPRING_DAMPING`` where it is 0.
+``control_on_output`` is the same for the controller, see ``backlash``. ``damping_ratio`` is that of
+the two masses on the spring, ``servo.gear_train.SPRING_DAMPING`` where it is 0.
 ``rotor_inertia_kgm2`` is that of rotor and gears, reflected to the output; it adds to the stated
 load and to the rotor of the motor's law.
 
@@ -48,7 +48,8 @@ def soften(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
     """Torque of the motor in N m."""
     load_share = wp.float64(1.0) - wp.min(p[c + 1] / p[3], wp.float64(0.98))
     passive = carried(x, q, p, c, z, s) - load_share * x  # spring's torque without the motor's
-    give = wp.max(load_share - p[c + 3], wp.float64(0.0)) * p[c]
+    seen = wp.min(wp.float64(2.0) * p[c + 3], wp.float64(1.0))
+    give = wp.max(load_share - seen, wp.float64(0.0)) * p[c]
     share = wp.float64(1.0) + p[0] * give * load_share
     settled = (x - p[0] * give * passive) / share
     before = z[s]
@@ -78,7 +79,7 @@ EFFECT = Effect(
         Parameter("compliance_rad_per_Nm", low=0.0, high=0.15, typical=0.02),
         Parameter("rotor_inertia_kgm2", low=4e-5, high=0.02, typical=4e-4, starts=(1.0,)),
         Parameter("sensor_on_output", low=0.0, high=1.0, typical=1.0, starts=(0.0, 1.0)),
-        Parameter("control_on_output", low=0.0, high=1.0, typical=1.0, starts=(0.0,)),
+        Parameter("control_on_output", low=0.0, high=1.0, typical=1.0, starts=(0.0, 0.5)),
         Parameter("damping_ratio", low=0.005, high=2.0, typical=0.05, starts=(1.0,)),
     ),
     memory=3,
