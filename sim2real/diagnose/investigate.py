@@ -52,6 +52,8 @@ _PRESLIDING = [
     COLUMNS.index(f"presliding_friction.{x}") for x in ("torque_Nm", "stiffness_Nm_per_rad")
 ]
 
+_TIMED = [0, 1, 2, COLUMNS.index("clock_drift.s_per_s")]
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -103,8 +105,9 @@ class Finding:
         the error; none where set-points come no later than the controller's next turn would take
         them anyway.
         """
-        if self.link is not None and self.link.effect == effect:
-            waits = effect == "latency_jitter" and self.link.value < DECISION.controller_wait_s
+        if self.link is not None and effect in self.link.sizes:
+            size, _ = self.link.sizes[effect]
+            waits = effect == "latency_jitter" and size < DECISION.controller_wait_s
             return 0.0 if waits else self.irregularity
         best = self.best.members
         enriched = unseen.get(best)
@@ -282,7 +285,7 @@ def _with_link(
         servo, link = max(options, key=lambda option: option[0].evidence + option[1].shares[k])
         if link.gain <= 0:
             servo, link = options[0]
-        short = link.effect == "latency_jitter" and link.value < longest_jitter_s
+        short = link.sizes.get("latency_jitter", (np.inf, 0.0))[0] < longest_jitter_s
         if link.gain <= 0 or not (short or np.isinf(longest_jitter_s)):
             continue
         noise = float(np.sqrt(best[j].fit.error2[0] / best[j].fit.count[0]))
@@ -299,7 +302,7 @@ def _with_link(
             best=servo,
             groups=groups
             if lacks_rows
-            else (*groups, Group((link.effect,), DECISION.most_certain)),
+            else (*groups, *(Group((effect,), DECISION.most_certain) for effect in link.sizes)),
             link=None if lacks_rows else link,
             place=k,
         )
@@ -340,7 +343,7 @@ def _link(
     fits = [servos[j].fit.of_joints([j]) for j in some]
     left = [
         [
-            Residual(t, residual[: t.t.size], *fit.servos.theta[0, :3].tolist())
+            Residual(t, residual[: t.t.size], *fit.servos.theta[0, _TIMED].tolist())
             for t, residual in zip(joints[j].traces, of_joint, strict=False)
         ]
         for j, fit, of_joint in zip(some, fits, residual_angles(batch, joined(fits)), strict=True)
