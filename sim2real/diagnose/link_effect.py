@@ -29,10 +29,8 @@ _HALFWIDTHS_S = np.geomspace(2.5e-4, 0.1, 10)
 """Halfwidths of the delays from which the search for jitter starts."""
 _CORRELATION_STEPS = np.array([-0.2, -0.1, 0.0, 0.1, 0.2])
 """Steps by which the correlation of successive delays is refined."""
-_FIRST_LOSS = {"loss": 0.02, "repeated_loss": 0.1}
+_FIRST_LOSS = Arrivals(0.02, 0.1)
 """Losses from which the search for them starts."""
-_DELAYED_WIDTH = 8
-"""Histories of losses that are kept where set-points are late as well."""
 _STEP = 0.1
 """Relative step by which a curvature is measured."""
 
@@ -62,11 +60,17 @@ class IrregularTiming:
 
 
 def link_of(
-    residuals: Sequence[Sequence[Residual]], lags: int, least_gain: float, noticed: float = 0.0
+    residuals: Sequence[Sequence[Residual]],
+    lags: int,
+    least_gain: float,
+    noticed: float = 0.0,
+    *,
+    law_error: float = 0.1,
 ) -> IrregularTiming:
     """The better of the two effects on one robot's link; ``gain`` 0 below what is ``noticed``.
 
-    The other one is added where it gains as much as is ``noticed`` again.
+    The other one is added where it gains as much as is ``noticed`` again, and more than the law of
+    the first one may leave, a share ``law_error`` of its gain.
 
     ``residuals`` are those of each joint's recordings, ``lags`` and ``least_gain`` as of their
     ``with_noise``.
@@ -81,7 +85,7 @@ def link_of(
         return IrregularTiming({best.effects[0]: (0.0, np.inf)}, shares=(0.0,) * len(joints))
     if noticed:
         pair = best.with_other()
-        best = pair if pair.gain > best.gain + least else best
+        best = pair if pair.gain > best.gain + max(least, law_error * best.gain) else best
     return best.result()
 
 
@@ -122,9 +126,12 @@ class LinkFit:
         begun: LinkFit | None = None,
     ) -> None:
         self.joints, self.effects, self.common = joints, effects, common
-        self.gain, self.arrivals = 0.0, Arrivals() if begun is None else begun.arrivals
+        self.gain = 0.0
+        self.arrivals: Arrivals = Arrivals() if begun is None else begun.arrivals
         if "packet_loss" in effects and not self.arrivals.loss:
-            self.arrivals = replace(self.arrivals, **_FIRST_LOSS)
+            self.arrivals = replace(
+                self.arrivals, loss=_FIRST_LOSS.loss, repeated_loss=_FIRST_LOSS.repeated_loss
+            )
         self.noise_models = [joint.noise for joint in joints]
         # The filter's log-likelihood counts the squares, that of the noise alone does not.
         alone = sum(joint.refitted(joint.noise)[1] - 0.5 * joint.count for joint in joints)
@@ -214,7 +221,7 @@ class LinkFit:
                 for sd in sizes
                 for r in correlations
             ]
-            width = _DELAYED_WIDTH if arrivals.loss else 1
+            width = 8 if arrivals.loss else 1  # histories that are kept
             pairs = zip(options, events.run(options, width=width), strict=True)
             return max(pairs, key=lambda pair: _total(pair[1]))
 

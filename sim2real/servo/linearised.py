@@ -67,7 +67,7 @@ class Residual:
     def arrival_s(self) -> Array:
         """Time from each row to the effect of its set-point on the sampled angles, shape (T,)."""
         elapsed = self.trace.t - self.trace.t[0]
-        return self.latency_s - self.trace.sample_delay_s + self.drift_s_per_s * elapsed
+        return np.asarray(self.latency_s - self.trace.sample_delay_s + self.drift_s_per_s * elapsed)
 
 
 @dataclass(frozen=True)
