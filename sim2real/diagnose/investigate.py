@@ -273,6 +273,8 @@ def _with_link(
         shown = [j for j, share in zip(some, best_link.shares, strict=True) if share > 0]
         return explained, [j for j in shown if len(some) > 1 and findings[j].mismatch]
     lacks_rows = any(joints[i].lacks_rows for i in some)  # and so looks irregular
+    # A second effect of the link may stand in for errors of one servo, plain or not.
+    sure = plain_link.sizes.keys() & best_link.sizes.keys()
     for k, j in enumerate(some):
         finding, tried = findings[j], findings[j].tried
         options = [(best[j], best_link), (plain[j], plain_link)]
@@ -285,6 +287,8 @@ def _with_link(
         servo, link = max(options, key=lambda option: option[0].evidence + option[1].shares[k])
         if link.gain <= 0:
             servo, link = options[0]
+        sizes = {e: size for e, size in link.sizes.items() if e == link.effect or e in sure}
+        link = replace(link, sizes=sizes)
         short = link.sizes.get("latency_jitter", (np.inf, 0.0))[0] < longest_jitter_s
         if link.gain <= 0 or not (short or np.isinf(longest_jitter_s)):
             continue
