@@ -67,7 +67,7 @@ def scaled(**measured: float) -> Features:
 def odds_features(finding: Finding, unseen: Errors) -> OddsFeatures:
     """The features of all findings of a joint."""
     tried, best, link, without = finding.tried, finding.best, finding.link, finding.unmodelled
-    no_findings = {ROUNDING, link.effect if link is not None else ROUNDING}
+    no_findings = {ROUNDING, *(link.sizes if link is not None else ())}
     groups = [g for g in finding.groups if no_findings.isdisjoint(g.members)]
     changes = [finding.changes(unseen, g.head) for g in groups]
     matter = sum(change >= DECISION.negligible for change in changes)
@@ -171,7 +171,8 @@ def judged(finding: Finding, unseen: Errors, *, link_probability: float = 0.0) -
         for change in [finding.changes(unseen, g.head)]
     ]
     if finding.link is not None:
-        groups.append(Group((finding.link.effect,), _stated(link_probability, unknown)))
+        probability = _stated(link_probability, unknown)
+        groups.extend(Group((effect,), probability) for effect in finding.link.sizes)
     coarse = [g for g in finding.groups if g.members == (ROUNDING,)]
     probable = [g for g in groups if g.probability >= DECISION.named]
     matters = any(finding.changes(unseen, g.head) >= DECISION.negligible for g in probable)

@@ -293,7 +293,7 @@ def _irregular_timing(of: Explained, *, lags: int = 2, least_gain: float = 1.0) 
         error[trace.used] = -of.residual[of.recording == r]
         residual = Residual(trace, error, *of.row[:3].tolist())
         links.append(link_of([[residual]], lags, least_gain))
-    late = [u.value if u.effect == "latency_jitter" else 0.0 for u in links]
+    late = [u.sizes.get("latency_jitter", (0.0, np.inf))[0] for u in links]
     worst = max(range(of.references, len(links)), key=lambda r: late[r])
     if late[worst] > period / 2:  # set-points would overtake each other
         return None

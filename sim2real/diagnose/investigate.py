@@ -52,6 +52,8 @@ _PRESLIDING = [
     COLUMNS.index(f"presliding_friction.{x}") for x in ("torque_Nm", "stiffness_Nm_per_rad")
 ]
 
+_TIMED = [0, 1, 2, COLUMNS.index("clock_drift.s_per_s")]
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -103,8 +105,9 @@ class Finding:
         the error; none where set-points come no later than the controller's next turn would take
         them anyway.
         """
-        if self.link is not None and self.link.effect == effect:
-            waits = effect == "latency_jitter" and self.link.value < DECISION.controller_wait_s
+        if self.link is not None and effect in self.link.sizes:
+            size, _ = self.link.sizes[effect]
+            waits = effect == "latency_jitter" and size < DECISION.controller_wait_s
             return 0.0 if waits else self.irregularity
         best = self.best.members
         enriched = unseen.get(best)
@@ -270,6 +273,8 @@ def _with_link(
         shown = [j for j, share in zip(some, best_link.shares, strict=True) if share > 0]
         return explained, [j for j in shown if len(some) > 1 and findings[j].mismatch]
     lacks_rows = any(joints[i].lacks_rows for i in some)  # and so looks irregular
+    # A second effect of the link may stand in for errors of one servo, plain or not.
+    sure = plain_link.sizes.keys() & best_link.sizes.keys()
     for k, j in enumerate(some):
         finding, tried = findings[j], findings[j].tried
         options = [(best[j], best_link), (plain[j], plain_link)]
@@ -282,7 +287,9 @@ def _with_link(
         servo, link = max(options, key=lambda option: option[0].evidence + option[1].shares[k])
         if link.gain <= 0:
             servo, link = options[0]
-        short = link.effect == "latency_jitter" and link.value < longest_jitter_s
+        sizes = {e: size for e, size in link.sizes.items() if e == link.effect or e in sure}
+        link = replace(link, sizes=sizes)
+        short = link.sizes.get("latency_jitter", (np.inf, 0.0))[0] < longest_jitter_s
         if link.gain <= 0 or not (short or np.isinf(longest_jitter_s)):
             continue
         noise = float(np.sqrt(best[j].fit.error2[0] / best[j].fit.count[0]))
@@ -299,7 +306,7 @@ def _with_link(
             best=servo,
             groups=groups
             if lacks_rows
-            else (*groups, Group((link.effect,), DECISION.most_certain)),
+            else (*groups, *(Group((effect,), DECISION.most_certain) for effect in link.sizes)),
             link=None if lacks_rows else link,
             place=k,
         )
@@ -340,7 +347,7 @@ def _link(
     fits = [servos[j].fit.of_joints([j]) for j in some]
     left = [
         [
-            Residual(t, residual[: t.t.size], *fit.servos.theta[0, :3].tolist())
+            Residual(t, residual[: t.t.size], *fit.servos.theta[0, _TIMED].tolist())
             for t, residual in zip(joints[j].traces, of_joint, strict=False)
         ]
         for j, fit, of_joint in zip(some, fits, residual_angles(batch, joined(fits)), strict=True)

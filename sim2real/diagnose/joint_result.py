@@ -172,8 +172,8 @@ class JointFindings:
             return dict(self.finding.sizes[effect])
         link, step = self.finding.link, self.joint.step_rad
         first = named(effect).parameters[0].name
-        if link is not None and link.effect == effect:
-            return {first: Estimate.normal(link.value, link.sd, low=0.0)}
+        if link is not None and effect in link.sizes:
+            return {first: Estimate.normal(*link.sizes[effect], low=0.0)}
         if effect == ROUNDING and step is not None:
             return {first: Estimate.normal(step, _DIGIT_RAD)}
         servos, variance = self.enriched.fit.servos, self.enriched.fit.variances

@@ -1,11 +1,11 @@
-"""Do set-points arrive at irregular times, or not at all? The more probable of the two effects.
+"""Do set-points arrive at irregular times, or not at all? The more probable effect, or both.
 
-Both are tested against the noise of ``angle_noise``.
+They are tested against the noise of ``angle_noise``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TypeVar
@@ -39,10 +39,10 @@ _STEP = 0.1
 class IrregularTiming:
     """Irregular timing that explains a part of a robot's residuals."""
 
-    effect: str  # ``latency_jitter`` or ``packet_loss``
+    # of ``latency_jitter``, ``packet_loss`` or both, the one that explains more first: halfwidth in
+    # s or probability, and its standard deviation
+    sizes: Mapping[str, tuple[float, float]]
     gain: float = 0.0  # log-likelihood gained over noise alone, in nats
-    value: float = 0.0  # the effect's parameter: halfwidth in s, or probability
-    sd: float = np.inf  # its standard deviation; infinite where nothing is found
     shares: tuple[float, ...] = ()  # gain at each joint by itself
     common: bool = False  # whether a set-point is lost for all joints at once
     burst: float = 1.0  # mean number of set-points that are lost in succession
@@ -53,11 +53,24 @@ class IrregularTiming:
     # expected to do, shape (T,)
     unexplained: tuple[tuple[Array, ...], ...] = ()
 
+    @property
+    def effect(self) -> str:
+        """The effect that explains more."""
+        return next(iter(self.sizes))
+
 
 def link_of(
-    residuals: Sequence[Sequence[Residual]], lags: int, least_gain: float, noticed: float = 0.0
+    residuals: Sequence[Sequence[Residual]],
+    lags: int,
+    least_gain: float,
+    noticed: float = 0.0,
+    *,
+    law_error: float = 0.1,
 ) -> IrregularTiming:
     """The better of the two effects on one robot's link; ``gain`` 0 below what is ``noticed``.
+
+    The other one is added where it gains as much as is ``noticed`` again, and more than the law of
+    the first one may leave, a share ``law_error`` of its gain.
 
     ``residuals`` are those of each joint's recordings, ``lags`` and ``least_gain`` as of their
     ``with_noise``.
@@ -67,26 +80,36 @@ def link_of(
     negligible = DECISION.link.negligible_gain * samples if noticed else 0.0
     fits = [fit for effect in EFFECTS for fit in fitted(joints, effect)]
     best = max(fits, key=lambda fit: fit.gain)
-    if best.gain < max(noticed, negligible):
-        return IrregularTiming(best.effect, shares=tuple(0.0 for _ in joints))
+    least = max(noticed, negligible)
+    if best.gain < least:
+        return IrregularTiming({best.effects[0]: (0.0, np.inf)}, shares=(0.0,) * len(joints))
+    if noticed:
+        pair = best.with_other()
+        best = pair if pair.gain > best.gain + max(least, law_error * best.gain) else best
     return best.result()
 
 
 def fitted(joints: Sequence[NoisyJoint], effect: str) -> list[LinkFit]:
     """Fits of one effect: each joint with packets of its own and, for losses, with common ones."""
-    fits = [LinkFit(joints, effect, common=False)]
-    times = {tuple(s.residual.size for s in joint.segments) for joint in joints}
-    if effect == "packet_loss" and len(joints) > 1 and len(times) == 1:
-        fits.append(LinkFit(joints, effect, common=True))
+    fits = [LinkFit(joints, (effect,), common=False)]
+    if effect == "packet_loss" and _at_once(joints):
+        fits.append(LinkFit(joints, (effect,), common=True))
     return fits
 
 
+def _at_once(joints: Sequence[NoisyJoint]) -> bool:
+    """Whether set-points are sent to several joints at once."""
+    times = {tuple(s.residual.size for s in joint.segments) for joint in joints}
+    return len(joints) > 1 and len(times) == 1
+
+
 class LinkFit:
-    """One effect fitted to the joints of a robot by expectation maximisation.
+    """Effects fitted to the joints of a robot by expectation maximisation.
 
     The noise of each joint is refitted to what the expected deviations leave: Shumway and Stoffer,
     Journal of Time Series Analysis 3 (1982) 253-264. It begins from two guesses of the noise,
-    since an autoregression can take any deviation for noise.
+    since an autoregression can take any deviation for noise, or from another fit, ``begun``, to
+    which an effect is added.
 
     Attributes:
         gain: Log-likelihood gained over noise alone, in nats; 0 where there is none.
@@ -94,21 +117,46 @@ class LinkFit:
         noise_models: Of the residual of each joint.
     """
 
-    def __init__(self, joints: Sequence[NoisyJoint], effect: str, *, common: bool) -> None:
-        self.joints, self.effect, self.common = joints, effect, common
-        self.gain, self.arrivals = 0.0, _FIRST_LOSS if effect == "packet_loss" else Arrivals()
+    def __init__(
+        self,
+        joints: Sequence[NoisyJoint],
+        effects: tuple[str, ...],
+        *,
+        common: bool,
+        begun: LinkFit | None = None,
+    ) -> None:
+        self.joints, self.effects, self.common = joints, effects, common
+        self.gain = 0.0
+        self.arrivals: Arrivals = Arrivals() if begun is None else begun.arrivals
+        if "packet_loss" in effects and not self.arrivals.loss:
+            self.arrivals = replace(
+                self.arrivals, loss=_FIRST_LOSS.loss, repeated_loss=_FIRST_LOSS.repeated_loss
+            )
         self.noise_models = [joint.noise for joint in joints]
         # The filter's log-likelihood counts the squares, that of the noise alone does not.
         alone = sum(joint.refitted(joint.noise)[1] - 0.5 * joint.count for joint in joints)
         starts = [[_typical(joint) for joint in joints], [_white(joint) for joint in joints]]
-        begun = [(models, *self._alternated(models, self.arrivals)) for models in starts]
-        if max(_total(results) for *_, results in begun) < alone:
+        if begun is not None:
+            starts = [begun.noise_models]
+        # Noise that is guessed from most samples is too small until it is fitted again.
+        guesses = [
+            self._climb(models, *self._alternated(models, self.arrivals), steps=2)
+            for models in starts
+        ]
+        total, arrivals, models = max(guesses, key=lambda guess: guess[0])
+        if total < alone:
             return
-        guesses = [self._climb(*guess, steps=2) for guess in begun]
-        _, arrivals, models = max(guesses, key=lambda guess: guess[0])
         total, arrivals, models = self._climb(models, *self._alternated(models, arrivals), steps=6)
         if total > alone:
             self.gain, self.arrivals, self.noise_models = total - alone, arrivals, models
+
+    def with_other(self) -> LinkFit:
+        """The better fit of both effects, begun from this one."""
+        effects = (*self.effects, *(e for e in EFFECTS if e not in self.effects))
+        either = _at_once(self.joints) and not self.arrivals.loss
+        shared = (False, True) if either else (self.common,)
+        pairs = [LinkFit(self.joints, effects, common=x, begun=self) for x in shared]
+        return max(pairs, key=lambda pair: pair.gain)
 
     def _climb(
         self,
@@ -136,7 +184,12 @@ class LinkFit:
     ) -> tuple[EventFilter, Arrivals, list[Filtered]]:
         """The filter with these noise models, and the most likely arrivals under it."""
         events = self._filter(models)
-        return events, *(self._losses if arrivals.loss else self._delays)(events, arrivals)
+        results: list[Filtered] = []
+        if "packet_loss" in self.effects:
+            arrivals, results = self._losses(events, arrivals)
+        if "latency_jitter" in self.effects:
+            arrivals, results = self._delays(events, arrivals)
+        return events, arrivals, results
 
     def _filter(self, noise_models: Sequence[Noise]) -> EventFilter:
         channels = [
@@ -155,7 +208,8 @@ class LinkFit:
             before, (results,) = arrivals, events.run([arrivals])
             chances, lost, after, again = np.sum([x.counts for x in results], axis=0)
             first = float(np.clip((lost + 0.5) / (chances + 1), 1e-4, 0.5))
-            arrivals = Arrivals(first, float(np.clip((again + 0.5) / (after + 5), 1e-3, 0.9)))
+            repeated = float(np.clip((again + 0.5) / (after + 5), 1e-3, 0.9))
+            arrivals = replace(arrivals, loss=first, repeated_loss=repeated)
         return before, results
 
     def _delays(self, events: EventFilter, arrivals: Arrivals) -> tuple[Arrivals, list[Filtered]]:
@@ -163,17 +217,22 @@ class LinkFit:
 
         def best_of(sizes: Array, correlations: Array) -> tuple[Arrivals, list[Filtered]]:
             options = [
-                Arrivals(delay_sd_s=float(sd), correlation=float(r))
+                replace(arrivals, delay_sd_s=float(sd), correlation=float(r))
                 for sd in sizes
                 for r in correlations
             ]
-            pairs = zip(options, events.run(options, width=1), strict=True)
+            width = 8 if arrivals.loss else 1  # histories that are kept
+            pairs = zip(options, events.run(options, width=width), strict=True)
             return max(pairs, key=lambda pair: _total(pair[1]))
 
+        sizes = _HALFWIDTHS_S / np.sqrt(3)
+        if arrivals.loss:  # coarser, as many histories of losses take long
+            near = arrivals.delay_sd_s * np.geomspace(0.7, 1.4, 3)
+            return best_of(near if near.any() else sizes[3:9:2], np.array([arrivals.correlation]))
         if arrivals.delay_sd_s:
             near = np.unique(np.clip(arrivals.correlation + _CORRELATION_STEPS, 0.0, 0.95))
             return best_of(arrivals.delay_sd_s * np.geomspace(0.6, 1.7, 7), near)
-        middle = best_of(_HALFWIDTHS_S / np.sqrt(3), np.array([0.5]))
+        middle = best_of(sizes, np.array([0.5]))
         others = best_of(np.array([middle[0].delay_sd_s]), np.array([0.0, 0.8]))
         return max(middle, others, key=lambda pair: _total(pair[1]))
 
@@ -218,21 +277,11 @@ class LinkFit:
         return out
 
     def result(self) -> IrregularTiming:
-        """The effect, its standard deviation and gain at each joint, and what it explains."""
+        """The sizes of the effects, the gain at each joint, and what they explain."""
         arrivals, events = self.arrivals, self._filter(self.noise_models)
-        jitter = self.effect == "latency_jitter"
-        name = "delay_sd_s" if jitter else "loss"
-        factors = np.exp(_STEP * np.array([-1.0, 0.0, 1.0]))
-        options = [replace(arrivals, **{name: float(getattr(arrivals, name) * x)}) for x in factors]
-        results = events.run(options)
-        below, here, above = map(_total, results)
-        curvature = (2 * here - below - above) / _STEP**2
-        burst = 1 / (1 - arrivals.repeated_loss)
-        value = float(arrivals.delay_sd_s * np.sqrt(3) if jitter else arrivals.long_run_loss)
-        # What is not known of the length of bursts adds to the standard deviation of a loss.
-        widened = value * np.sqrt(2 - 1 / burst)
-        explained = self._explained(events, arrivals, results[1])
-        of_joints = [results[1]] * len(self.joints) if self.common else self._by_joint(results[1])
+        (results,) = events.run([arrivals])
+        explained = self._explained(events, arrivals, results)
+        of_joints = [results] * len(self.joints) if self.common else self._by_joint(results)
         lost_s = tuple(
             tuple(
                 segment.source.trace.t[np.setdiff1d(np.arange(x.active.size), x.active)]
@@ -240,16 +289,15 @@ class LinkFit:
             )
             for joint, of_joint in zip(self.joints, of_joints, strict=True)
         )
+        first = self.effects[0]
         single = len(self.joints) == 1
-        shares = [self] if single else [fitted([joint], self.effect)[0] for joint in self.joints]
+        shares = [self] if single else [fitted([joint], first)[0] for joint in self.joints]
         return IrregularTiming(
-            self.effect,
+            {effect: self._size(events, effect, results) for effect in self.effects},
             self.gain,
-            value,
-            float(widened / np.sqrt(curvature)) if curvature > 0 else np.inf,
             tuple(share.gain for share in shares),
             self.common,
-            burst,
+            1 / (1 - arrivals.repeated_loss),
             arrivals.correlation,
             lost_s,
             tuple(
@@ -257,6 +305,24 @@ class LinkFit:
                 for (joint, _), noise in zip(explained, self.noise_models, strict=True)
             ),
         )
+
+    def _size(
+        self, events: EventFilter, effect: str, results: Sequence[Filtered]
+    ) -> tuple[float, float]:
+        """An effect's parameter, and its standard deviation."""
+        arrivals = self.arrivals
+        jitter = effect == "latency_jitter"
+        name = "delay_sd_s" if jitter else "loss"
+        factors = np.exp(_STEP * np.array([-1.0, 0.0, 1.0]))
+        options = [replace(arrivals, **{name: float(getattr(arrivals, name) * x)}) for x in factors]
+        below, here, above = map(_total, events.run(options))
+        curvature = (2 * here - below - above) / _STEP**2
+        if curvature <= 0 and not jitter:  # as if it were known which set-points were lost
+            curvature = sum(float(x.counts[1] + x.counts[3]) for x in results)
+        value = float(arrivals.delay_sd_s * np.sqrt(3) if jitter else arrivals.long_run_loss)
+        # What is not known of the length of bursts adds to the standard deviation of a loss.
+        widened = value if jitter else value * np.sqrt(1 + arrivals.repeated_loss)
+        return value, float(widened / np.sqrt(curvature)) if curvature > 0 else np.inf
 
 
 def _total(results: Sequence[Filtered]) -> float:

@@ -61,7 +61,8 @@ def diagnosis(
     large, small = split_by_size(results, groups, least)
     inputs = [r.path for r in (*case.recordings, *case.references) if r.path]
     origin = provenance([*inputs, *([case.robot.path] if case.robot.path else [])], seed)
-    links = {f.link.effect: f.link.value for f in (j.finding for j in joints) if f.link is not None}
+    of_links = [j.finding.link.sizes for j in joints if j.finding.link is not None]
+    links = {effect: size for sizes in of_links for effect, (size, _) in sizes.items()}
     enriched_fit = {joint.signal: joint.fit(enriched=True) for joint in joints}
     enriched, plain_models = (
         {joint.name: joint.model(enriched=which) for joint in joints} for which in (True, False)
@@ -163,9 +164,9 @@ def _set_anew(name: str, parameters: Mapping[str, Estimate]) -> str:
 def _of_link(entry: Named, result: JointFindings, *, listed: int = 3) -> str:
     """Further sentences on the link: correlated delays, bursts, times of losses."""
     link = result.finding.link
-    if link is None or entry.group.head != link.effect:
+    if link is None or entry.group.head not in link.sizes:
         return ""
-    if link.effect == "latency_jitter":
+    if entry.group.head == "latency_jitter":
         alike = f" Successive delays have a correlation of {link.correlation:.1f}."
         return alike if link.correlation > 0.25 else ""
     text = f" They are lost in bursts of {link.burst:.1f} on average." if link.burst > 1.5 else ""

@@ -30,7 +30,8 @@ class Channel:
 
     t: Array  # times of the samples and of the set-points in s, shape (T,)
     command: Array  # set-points in rad, shape (T,)
-    latency_s: float  # from a set-point to the time at which the simulation uses it
+    # from each set-point to the time at which the simulation uses it, shape (T,) or one for all
+    latency_s: Array | float
     modes: Modes  # of the linearised servo
     residual: Array  # simulated minus measured angle in rad, shape (T,)
     # standard deviation of each innovation, relative to ``variance``; 0 where the sample does not

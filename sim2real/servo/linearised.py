@@ -17,6 +17,7 @@ from sim2real.servo.rollout import longest_substep, rollout_on
 from sim2real.servo.trace import Trace
 
 _APART = 0.03
+_DRIFT = COLUMNS.index("clock_drift.s_per_s")
 
 
 def residual_torque(
@@ -60,11 +61,13 @@ class Residual:
     kp: float  # fitted gains in N m/rad and N m s/rad, and latency
     kd: float
     latency_s: float
+    drift_s_per_s: float = 0.0  # by which the latency grows with time
 
     @property
-    def arrival_s(self) -> float:
-        """Time from a row of the recording to the effect of its set-point on the sampled angles."""
-        return self.latency_s - self.trace.sample_delay_s
+    def arrival_s(self) -> Array:
+        """Time from each row to the effect of its set-point on the sampled angles, shape (T,)."""
+        elapsed = self.trace.t - self.trace.t[0]
+        return np.asarray(self.latency_s - self.trace.sample_delay_s + self.drift_s_per_s * elapsed)
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,7 @@ def gain_derivatives(residual: Residual, *, latency_s: float = 1e-4, share: floa
     servo = np.array([residual.kp, residual.kd, residual.latency_s])
     sides = np.concatenate([side * np.eye(3)[[2, 1, 0]] for side in (-1, 1)])
     rows = np.zeros((6, len(COLUMNS)))
+    rows[:, _DRIFT] = residual.drift_s_per_s
     rows[:, :3] = servo + sides * (share * servo[0], share * servo[1], latency_s)
     longest = longest_substep(rows, np.full(6, residual.trace.load.inertia_kgm2)).min()
     low, high = np.split(rollout_on(residual.trace, rows, substep_s=float(longest)), 2)

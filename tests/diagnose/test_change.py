@@ -113,7 +113,7 @@ def test_a_link_that_jitters_since_shows_beside_repeats(halfwidth_s, named):
     assert (found.link is not None) == named
     if found.link is not None:
         assert found.groups[0].members == ("latency_jitter",)
-        assert found.link.value == pytest.approx(halfwidth_s, rel=0.5)
+        assert found.link.sizes["latency_jitter"][0] == pytest.approx(halfwidth_s, rel=0.5)
 
 
 def wandering(seed):

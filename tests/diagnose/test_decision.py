@@ -199,7 +199,7 @@ def test_a_negligible_effect_stays_where_it_lowers_the_held_out_error(more, expe
 
 def on_all(gain, *shares):
     """Whether joints of which each but the last misses something else share this link."""
-    link = IrregularTiming("packet_loss", gain, shares=shares)
+    link = IrregularTiming({"packet_loss": (0.05, 0.01)}, gain, shares=shares)
     findings = [SimpleNamespace(mismatch=True) for _ in shares[:-1]]
     return _on_all(link, link, [*findings, SimpleNamespace(mismatch=False)])
 
@@ -216,7 +216,7 @@ def shared(explained_joint):
     """Findings of two joints on one link, the second with structure that stays."""
     _, (joint,) = explained_joint
     base = joint.finding.tried.plain
-    link = IrregularTiming("packet_loss", 700.0, 0.02, 0.002, shares=(650.0, 50.0))
+    link = IrregularTiming({"packet_loss": (0.02, 0.002)}, 700.0, shares=(650.0, 50.0))
     without = replace(joint.finding.unmodelled, windows_evidence=300.0, excess=6.0)
     first = replace(joint.finding, best=base, groups=(), link=link, excess=1.0, unmodelled=without)
     return [first, replace(first, place=1, excess=2.2)], joint.unseen
