@@ -283,10 +283,12 @@ def _with_link(
             fewer = tried.tried.get(best[j].members - {effect}, plain[j])
             if fewer is not plain[j] and best[j].evidence - fewer.evidence <= most:
                 servos = [fewer if i == j else servo for i, servo in enumerate(best)]
-                options.append((fewer, link_with(servos)))
+                options.append((fewer, link_with(servos, both=False)))
         servo, link = max(options, key=lambda option: option[0].evidence + option[1].shares[k])
         if link.gain <= 0:
             servo, link = options[0]
+        elif len(sure) > 1 and link is not plain_link and link is not best_link:
+            link = link_with([servo if i == j else other for i, other in enumerate(best)])
         sizes = {e: size for e, size in link.sizes.items() if e == link.effect or e in sure}
         link = replace(link, sizes=sizes)
         short = link.sizes.get("latency_jitter", (np.inf, 0.0))[0] < longest_jitter_s
@@ -339,6 +341,8 @@ def _link(
     some: Sequence[int],
     least_gain: float,
     servos: Sequence[Hypothesis],
+    *,
+    both: bool = True,
 ) -> IrregularTiming:
     """What irregular timing explains of some joints; ``servos`` are those of all joints.
 
@@ -352,4 +356,4 @@ def _link(
         ]
         for j, fit, of_joint in zip(some, fits, residual_angles(batch, joined(fits)), strict=True)
     ]
-    return link_of(left, batch.lags, least_gain, DECISION.decisive_gain)
+    return link_of(left, batch.lags, least_gain, DECISION.decisive_gain, both=both)

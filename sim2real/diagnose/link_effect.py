@@ -65,12 +65,13 @@ def link_of(
     least_gain: float,
     noticed: float = 0.0,
     *,
+    both: bool = True,
     law_error: float = 0.1,
 ) -> IrregularTiming:
     """The better of the two effects on one robot's link; ``gain`` 0 below what is ``noticed``.
 
-    The other one is added where it gains as much as is ``noticed`` again, and more than the law of
-    the first one may leave, a share ``law_error`` of its gain.
+    With ``both`` the other one is added where it gains as much as is ``noticed`` again, and more
+    than the law of the first one may leave, a share ``law_error`` of its gain.
 
     ``residuals`` are those of each joint's recordings, ``lags`` and ``least_gain`` as of their
     ``with_noise``.
@@ -83,7 +84,7 @@ def link_of(
     least = max(noticed, negligible)
     if best.gain < least:
         return IrregularTiming({best.effects[0]: (0.0, np.inf)}, shares=(0.0,) * len(joints))
-    if noticed:
+    if noticed and both:
         pair = best.with_other()
         best = pair if pair.gain > best.gain + max(least, law_error * best.gain) else best
     return best.result()
