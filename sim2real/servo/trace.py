@@ -115,14 +115,19 @@ class Trace:
 
     @cached_property
     def start_rad(self) -> float:
-        """Angle at which friction holds the joint until set-points change, rad; NaN if unknown."""
+        """Angle at which friction holds the joint off its first set-point, rad.
+
+        NaN where it differs by noise only, or the joint turns before its set-points change.
+        """
         changes = np.flatnonzero(np.diff(self.command))
         angles = self.measured[: changes[0] + 1 if changes.size else 0]
         angles = angles[np.isfinite(angles)]
         if not angles.size:
             return np.nan
         low, middle, high = np.quantile(angles, (0.1, 0.5, 0.9))
-        return float(middle) if high - low <= 4 * self.noise_floor_rad else np.nan
+        noise = self.noise_floor_rad
+        held = abs(middle - self.command[0]) > 3 * noise and high - low <= 4 * noise
+        return float(middle) if held else np.nan
 
     def speed(self, *, samples: int = 5) -> Array:
         """Mean speed of the measured angle around each sample, rad/s, shape (T,)."""
