@@ -191,7 +191,8 @@ def _places(problem: ServoSearch, some: Sequence[Tried]) -> Iterator[tuple[Tried
 def _grid(problem: ServoSearch, tried: Tried, place: Hypothesis, name: str) -> Candidate:
     """A gear train with all its starts, of the inertia and the dry friction of a fit."""
     effect, row = named(name), place.fit.servos.theta[0]
-    wide = tuple(replace(p, starts=_STARTS[p.name]) for p in effect.parameters)
+    values = _STARTS if name == "backlash" else _STARTS | {CONTROL_SIDE: (0.0, 1.0)}
+    wide = tuple(replace(p, starts=values[p.name]) for p in effect.parameters)
     option = candidate(replace(effect, parameters=wide), *problem.strength(tried))
     starts, names = option.starts, [p.name for p in wide]
     rub = np.full(len(starts), row[_RUB])

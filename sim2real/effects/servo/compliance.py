@@ -79,7 +79,7 @@ EFFECT = Effect(
         Parameter("compliance_rad_per_Nm", low=0.0, high=0.15, typical=0.02),
         Parameter("rotor_inertia_kgm2", low=4e-5, high=0.02, typical=4e-4, starts=(1.0,)),
         Parameter("sensor_on_output", low=0.0, high=1.0, typical=1.0, starts=(0.0, 1.0)),
-        Parameter("control_on_output", low=0.0, high=1.0, typical=1.0, starts=(0.0, 0.5)),
+        Parameter("control_on_output", low=0.0, high=1.0, typical=1.0, starts=(0.0,)),
         Parameter("damping_ratio", low=0.005, high=2.0, typical=0.05, starts=(1.0,)),
     ),
     memory=3,
