@@ -49,10 +49,12 @@ class Settings:
 
 
 PLAIN = Settings(
-    rate=3e-4, rate_end=1.0, hidden=(256, 256), warm_up=5_000, updates_per_step=1.0,
-    entropy_target=(-1.0, -1.0), norm=False, prices=1.0, average=0.0,
+    rate=3e-4, rate_end=1.0, hidden=(256, 256), warm_up=100, updates_per_step=1.0,
+    entropy_start=1.0, entropy_target=(-1.0, -1.0), noise_s=0.0, mirror=False, norm=False,
+    prices=1.0, average=0.0,
 )  # fmt: skip
-"""SAC with the paper's hyper-parameters (Lin, Liu, Wang, Table I)."""
+"""SAC of the paper (Lin, Liu, Wang, Table I). What it leaves unsaid, the first 100 random steps and
+the initial entropy coefficient of 1, is as in Stable-Baselines3."""
 
 
 class Arm(NamedTuple):
@@ -121,7 +123,8 @@ _CHAIN = replace(TASKS["chain"], energy=7e-4)
 RECIPES: Mapping[str, Plan] = {
     "default": Plan(_CHAIN, settings=Settings(batch=128)),
     "paper": Plan(
-        TASKS["point"], energy_start=1.0, steps=800_000, view=PAPER, settings=PLAIN
+        TASKS["point"], steps=1_000_000, envs=1, segment=50_000, energy_start=1.0, view=PAPER,
+        settings=PLAIN,
     ),
     "fine": Plan(
         _CHAIN, energy_start=1.0, steps=200_000, envs=32, segment=32_000,
