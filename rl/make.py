@@ -146,7 +146,12 @@ def make_world(
 
 
 def noise_of(ranges: Ranges, joints: Sequence[str]) -> Noise:
-    """The measurement noise in the ranges."""
+    """The measurement noise in the ranges; InputError if it is of a joint that there is not."""
+    for entry in ranges.entries:
+        joint, _, quantity = entry.parameter.partition(".")
+        if quantity == "position_noise_rad" and joint not in joints:
+            expected = f"a joint of the robot: {', '.join(joints)}"
+            raise InputError("ranges", entry.parameter, f"joint {joint}", expected)
 
     def sd(name: str) -> float:
         entry = ranges.named(name)
