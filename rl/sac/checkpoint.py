@@ -110,7 +110,7 @@ def load(folder: Path, agents: Agents) -> Progress | None:
     for name, tensor in state.items():
         tensor.copy_(torch.from_numpy(arrays[name]))
     memory[:, :filled] = torch.from_numpy(arrays["memory"]).to(agents.device)
-    agents.position = position
+    agents.position = position if filled == memory.shape[1] else filled  # it may have grown
     agents.set_filled(filled)
     return progress
 
@@ -133,17 +133,16 @@ def read_progress(folder: Path) -> dict[str, Array]:
 
 
 def _curve(progress: Mapping[str, Array]) -> Array:
-    """Steps, mean return and success of groups of rows with at least 64 episodes, (3, points)."""
-    points, rows = np.empty((0, 3)), list[int]()
-    for k in np.flatnonzero(progress["episodes"] > 0).tolist():
-        rows.append(k)
-        weight = progress["episodes"][rows]
-        if weight.sum() >= 64:
-            table = np.array([progress["mean_return"][rows], progress["success"][rows]])
-            means = np.average(table, axis=1, weights=weight)
-            points = np.vstack([points, [progress["steps"][k], *means]])
-            rows = []
-    return points.T
+    """Steps, mean return and success of the last 64 episodes, in each row that had one, (3, n)."""
+    ended = np.flatnonzero(progress["episodes"] > 0)
+    weight = progress["episodes"][ended]
+    table = np.array(
+        [progress["mean_return"][ended], progress["success"][ended], np.ones(len(ended))]
+    )
+    sums = np.cumsum(np.hstack([np.zeros((3, 1)), table * weight]), axis=1)
+    first = np.searchsorted(sums[2], sums[2, 1:] - 64, side="right") - 1  # of 64 or a few more
+    means = sums[:, 1:] - sums[:, first.clip(min=0)]
+    return np.vstack([progress["steps"][ended], means[:2] / means[2]])
 
 
 def _mean_curve(curves: Sequence[Array]) -> Array:
