@@ -107,7 +107,10 @@ def world_of(
     if not isinstance(task, Task):
         check_choice("sim2real/Fish-v0", "task", task, TASKS)
         task = TASKS[task]
-    weights = {**(reward or {}), **({} if energy_weight is None else {"energy": energy_weight})}
+    weights: dict[str, Any] = {
+        **(reward or {}),
+        **({} if energy_weight is None else {"energy": energy_weight}),
+    }
     for name, weight in weights.items():
         check_choice("sim2real/Fish-v0", "reward", name, ("approach", "energy", "bonus"))
         if (finite_number(weight) or 0.0) != weight or weight < 0:

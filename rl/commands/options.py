@@ -19,7 +19,7 @@ _WATER = """
 """
 _PLAN = f"""
 --task {_TASKS}: task to train on (default chain)
---quick: a small run in the twin: minutes on a CPU
+--quick: a small run in the twin, minutes on a CPU; train: on near targets
 --recipe default|paper|brief|fine: settings of training: default (a decision every 80 ms), paper
     (the task of the paper), or brief and fine, which continue from trained policies
 --first FILE+: policies that training continues from, one per seed in turn
@@ -49,9 +49,10 @@ _TRAIN = """
 --controller sac|discrete-cpg = sac: the policy chooses joint angles (sac) or the gait of a pattern
     generator
 --seeds N = 1: number of agents, one per random seed
---trials N = 20: held-out episodes that select each agent's price of energy, and the best agent;
-    0: none
+--trials N = 20: held-out episodes that select each agent's price of energy and the best agent, and
+    show whether it learned (exit status 1 if not); 0: none
 --no-plots: do not plot the learning curve (curve.png)
+--tensorboard: write the progress to OUT/tensorboard while agents learn; needs the extra tensorboard
 """
 _ABLATE = """
 --reality FILE!: the reality that policies are tested in and never trained in: MODEL.json, or a

@@ -18,7 +18,7 @@ from rl.experiments.testbeds import (
     held_out,
 )
 from rl.sac import train as sac
-from rl.sac.checkpoint import draw_curves, read_progress
+from rl.sac.checkpoint import TensorBoard, draw_curves, read_progress
 from rl.sac.plan import OPTIONS, RECIPES
 from sim2real.commands.command import where_jobs_run
 from sim2real.errors import InputError
@@ -38,8 +38,14 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(options.out, "", "a file", "a folder")
     torch.set_num_threads(1)  # the networks are small
     arguments = arguments_of(options)
+    watched: dict[str, Any] = {}
+    if options.tensorboard:
+        if options.controller != "sac" or options.executor is not None:
+            expected = "neither --executor nor another --controller than sac"
+            raise InputError("train", "--tensorboard", "one of them", expected)
+        watched["report"] = TensorBoard(options.out / "tensorboard")
     if options.executor is None:
-        folders = TRAINERS[options.controller].train_run(options.out, **arguments)
+        folders = TRAINERS[options.controller].train_run(options.out, **arguments, **watched)
     else:
         folders = _side_by_side(options, arguments)
     if not options.no_plots:

@@ -7,6 +7,7 @@ import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,7 +16,7 @@ from torch import Tensor
 from rl.sac.agents import Agents
 from rl.sac.plan import Plan
 from sim2real.arrays import Array
-from sim2real.errors import InputError
+from sim2real.errors import InputError, library
 from sim2real.output import write_whole
 from sim2real.report.drawing import save_png
 from sim2real.report.style import ACCENT, FAINT, INK, house_style, new_figure
@@ -55,6 +56,25 @@ class Progress:
         if not np.isfinite(returns).any():
             return "no episode has ended"
         return f"return {np.nanmean(returns):.1f}, {100 * np.nanmean(success):.0f} % arrive"
+
+
+class TensorBoard:
+    """A report of rows of progress, as ``train_run`` takes it, that TensorBoard shows live."""
+
+    def __init__(self, folder: Path) -> None:
+        """Write each agent's events to ``folder/NAME``; MissingLibrary without TensorBoard."""
+        library("tensorboard", "--tensorboard")
+        self._folder, self._writers = folder, dict[str, Any]()
+
+    def __call__(self, name: str, row: Mapping[str, float]) -> None:
+        """Write the finite columns of an agent's row."""
+        from torch.utils.tensorboard import SummaryWriter
+
+        if name not in self._writers:
+            self._writers[name] = SummaryWriter(self._folder / name, flush_secs=5)  # type: ignore[no-untyped-call]
+        for column, value in row.items():
+            if column != "steps" and math.isfinite(value):
+                self._writers[name].add_scalar(column, value, int(row["steps"]))
 
 
 def write_progress(path: Path, columns: Sequence[str], rows: Iterable[Sequence[float]]) -> None:

@@ -28,7 +28,8 @@ from tqdm import tqdm
 from rl.make import Fidelity, digest, episodes_of, make_world, own_stream, spread_of
 from rl.sac.agents import Agents
 from rl.sac.checkpoint import COLUMNS, Progress, load, save
-from rl.sac.plan import OPTIONS, QUICK, Arm, Plan, plan_of
+from rl.sac.plan import OPTIONS, Arm, Plan, plan_of
+from rl.sac.plan import QUICK as SMALL
 from rl.sac.sac import make_sac, read_agent, start_from
 from rl.world import Decisions, Draws, Step
 from sim2real.errors import InputError
@@ -38,6 +39,8 @@ from sim2real.structured import finite_number, read_json
 
 __all__ = ["QUICK", "agent_names", "digest_of", "train", "train_in_parts", "train_run"]
 
+QUICK: dict[str, Any] = {"task": "near", **SMALL}
+"""Settings of ``train --quick``."""
 ACCEPTED = (*OPTIONS, "first")
 """Options of the command ``train`` that ``train_run`` accepts."""
 _ROW = 1000
