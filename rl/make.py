@@ -29,6 +29,7 @@ from sim2real.model import FittedEffect, JointModel, Law, Model, read_model
 from sim2real.posterior.posteriors import JointSample
 from sim2real.ranges.entry import Ranges, read_ranges
 from sim2real.robot import Robot, normalised_density, read_robot
+from sim2real.structured import finite_number
 
 Fidelity = Literal["twin", "fluid"]
 File = str | os.PathLike[str]
@@ -73,7 +74,9 @@ def world_of(
     robot: Robot | File = FISH / "robot.toml",
     model: Model | File = FISH / "model.json",
     ranges: Ranges | File | None = None,
-    task: str = "point",
+    task: str | Task = "point",
+    energy_weight: float | None = None,
+    reward: Mapping[str, float] | None = None,
     fidelity: Fidelity = "twin",
     device: str = "cpu",
     cell_m: float = 0.02,
@@ -87,22 +90,38 @@ def world_of(
         model: Model of its servos and body, or ``MODEL.json``.
         ranges: Randomization ranges, or ``ranges.json``; without them every episode has the same
             robot and no noise.
-        task: ``point``, ``near``, ``mixed``, ``chain``, ``turn`` or ``pentagram``; see ``rl.task``.
+        task: ``point``, ``near``, ``mixed``, ``chain``, ``turn`` or ``pentagram``, or a
+            ``rl.task.Task``.
+        energy_weight: Weight of the squared joint rates in the reward; by default the task's.
+        reward: Weights of some of the reward's terms, ``approach``, ``energy`` and ``bonus``; by
+            default the task's, 10, 0.001 and 10 in the paper.
         fidelity: ``twin`` or ``fluid``.
         device: ``cpu`` or ``cuda:0``.
         cell_m: Side of a cell of the fluid, in m.
         seed: Seed of random numbers until the first ``reset(seed=...)``.
 
     Raises:
-        InputError: If a file does not conform to its format, or there is no such task or fidelity.
+        InputError: If a file does not conform to its format, there is no such task, fidelity or
+            term, or a weight is no finite number of at least 0.
     """
-    check_choice("sim2real/Fish-v0", "task", task, TASKS)
+    if not isinstance(task, Task):
+        check_choice("sim2real/Fish-v0", "task", task, TASKS)
+        task = TASKS[task]
+    weights: dict[str, Any] = {
+        **(reward or {}),
+        **({} if energy_weight is None else {"energy": energy_weight}),
+    }
+    for name, weight in weights.items():
+        check_choice("sim2real/Fish-v0", "reward", name, ("approach", "energy", "bonus"))
+        if (finite_number(weight) or 0.0) != weight or weight < 0:
+            expected = "a finite number of at least 0"
+            raise InputError("sim2real/Fish-v0", f"weight of {name}", repr(weight), expected)
     fish = robot if isinstance(robot, Robot) else read_robot(robot)
     fitted = model if isinstance(model, Model) else read_model(model)
     drawn = ranges if ranges is None or isinstance(ranges, Ranges) else read_ranges(ranges)
     return make_world(
-        fish, TASKS[task], draws_of(fitted, drawn, fish, seed), n_envs=n_envs, fidelity=fidelity,
-        device=device, cell_m=cell_m, seed=seed,
+        fish, replace(task, **weights), draws_of(fitted, drawn, fish, seed), n_envs=n_envs,
+        fidelity=fidelity, device=device, cell_m=cell_m, seed=seed,
     )  # fmt: skip
 
 
@@ -146,7 +165,12 @@ def make_world(
 
 
 def noise_of(ranges: Ranges, joints: Sequence[str]) -> Noise:
-    """The measurement noise in the ranges."""
+    """The measurement noise in the ranges; InputError if it is of a joint that there is not."""
+    for entry in ranges.entries:
+        joint, _, quantity = entry.parameter.partition(".")
+        if quantity == "position_noise_rad" and joint not in joints:
+            expected = f"a joint of the robot: {', '.join(joints)}"
+            raise InputError("ranges", entry.parameter, f"joint {joint}", expected)
 
     def sd(name: str) -> float:
         entry = ranges.named(name)

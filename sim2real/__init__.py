@@ -84,3 +84,5 @@ class _Package(ModuleType):
 
 
 sys.modules[__name__].__class__ = _Package
+if "gymnasium" in sys.modules:  # so that gymnasium.make("sim2real:sim2real/Fish-v0") finds it
+    importlib.import_module("rl")

@@ -24,6 +24,7 @@ _LIBRARIES = {
     "torch": ("PyTorch", "rl"),
     "stable_baselines3": ("Stable-Baselines3", "rl"),
     "gymnasium": ("Gymnasium", "rl"),
+    "tensorboard": ("TensorBoard", "tensorboard"),
     "moviepy": ("MoviePy", "render"),
     "pygame": ("pygame", "render"),
     "serial": ("pyserial", "hardware"),

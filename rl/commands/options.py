@@ -19,7 +19,7 @@ _WATER = """
 """
 _PLAN = f"""
 --task {_TASKS}: task to train on (default chain)
---quick: a small run in the twin: minutes on a CPU
+--quick: a small run in the twin, minutes on a CPU; train: on near targets
 --recipe default|paper|brief|fine: settings of training: default (a decision every 80 ms), paper
     (the task of the paper), or brief and fine, which continue from trained policies
 --first FILE+: policies that training continues from, one per seed in turn
@@ -28,7 +28,19 @@ _PLAN = f"""
 --segment N: steps between checkpoints (default 200000)
 --updates-per-step X: gradient updates per environment step (default 0.1)
 --learning-rate X: initial learning rate (default 0.001)
+--rate-end X: final learning rate as a share of the initial one (default 0.1)
+--batch N: transitions of an update (default 128)
+--hidden N+: widths of the hidden layers (default 128 128)
 --discount X: discount factor per decision (default 0.99)
+--warm-up N: steps of random actions before learning begins (default 10000)
+--entropy-start X: initial entropy coefficient (default 0.1)
+--entropy-target X*2: target entropy per joint, initial and final (default -1 -2.5)
+--noise-s X: correlation time of the exploration noise, s, 0 for white noise (default 0.25)
+--no-mirror: learn from no mirror images of transitions
+--no-norm: no layer normalization in the critics
+--prices X: train for energy weights from 1 / X to X times the default, 1: no others (default 2)
+--average X: share of the updates that the saved policy averages, 0: none (default 0.2)
+--view default|paper: 20 columns and a decision every 80 ms, or 11 columns and 20 ms
 --energy-weight X: weight of squared joint rates in the reward (default 0.0007)
 --energy-start X: share of that weight at the start, raised once the agents swim (default 0.1)
 """
@@ -37,9 +49,10 @@ _TRAIN = """
 --controller sac|discrete-cpg = sac: the policy chooses joint angles (sac) or the gait of a pattern
     generator
 --seeds N = 1: number of agents, one per random seed
---trials N = 20: held-out episodes that select each agent's price of energy, and the best agent;
-    0: none
+--trials N = 20: held-out episodes that select each agent's price of energy and the best agent, and
+    show whether it learned (exit status 1 if not); 0: none
 --no-plots: do not plot the learning curve (curve.png)
+--tensorboard: write the progress to OUT/tensorboard while agents learn; needs the extra tensorboard
 """
 _ABLATE = """
 --reality FILE!: the reality that policies are tested in and never trained in: MODEL.json, or a

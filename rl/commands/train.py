@@ -18,7 +18,7 @@ from rl.experiments.testbeds import (
     held_out,
 )
 from rl.sac import train as sac
-from rl.sac.checkpoint import draw_curves, read_progress
+from rl.sac.checkpoint import TensorBoard, draw_curves, read_progress
 from rl.sac.plan import OPTIONS, RECIPES
 from sim2real.commands.command import where_jobs_run
 from sim2real.errors import InputError
@@ -38,8 +38,14 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(options.out, "", "a file", "a folder")
     torch.set_num_threads(1)  # the networks are small
     arguments = arguments_of(options)
+    watched: dict[str, Any] = {}
+    if options.tensorboard:
+        if options.controller != "sac" or options.executor is not None:
+            expected = "neither --executor nor another --controller than sac"
+            raise InputError("train", "--tensorboard", "one of them", expected)
+        watched["report"] = TensorBoard(options.out / "tensorboard")
     if options.executor is None:
-        folders = TRAINERS[options.controller].train_run(options.out, **arguments)
+        folders = TRAINERS[options.controller].train_run(options.out, **arguments, **watched)
     else:
         folders = _side_by_side(options, arguments)
     if not options.no_plots:
@@ -51,37 +57,49 @@ def run(options: argparse.Namespace) -> int:
             f"return {progress['mean_return'][ended[-1]]:.2f}" if ended.size else "no episode ended"
         )
         print(f"{folder / 'policy.zip'}: {int(progress['steps'][-1])} steps, {outcome}")
-    if options.trials:
-        select(options, folders)
-    return 0
+    return 0 if not options.trials or select(options, folders, arguments.get("task")) else 1
 
 
-def select(options: argparse.Namespace, folders: list[Path]) -> None:
-    """Choose each agent's price and then the best agent by held-out trials: ``trials.json``."""
+def select(
+    options: argparse.Namespace, folders: list[Path], task: str | None, learned: float = 0.5
+) -> bool:
+    """Choose each agent's price and then the best agent by held-out trials: ``trials.json``.
+
+    False if even the best reaches less than the share ``learned`` of its targets. Agents trained on
+    ``near`` are tested on it, others on turns and all distances.
+    """
     ranges = None if options.ranges is None else read_ranges(options.ranges)
     settings = SimulationSettings(options.fidelity, options.device, options.threads, options.cell_m)
     files = read_robot(options.robot), read_model(options.model), ranges
     swims = DrawnTrials(*files, options.trials, settings)
     prices = choose_prices(swims, folders)
     energy = options.energy_weight or RECIPES[options.recipe or "default"].task.energy
-    trials = held_out(swims, folders, energy)
+    tasks = ("near",) if task == "near" else HELD_OUT
+    trials = held_out(swims, folders, energy, tasks)
     write_json(options.out / "trials.json", {**trials, "prices": prices})
     for agent, rows in trials["agents"].items():
         summary = ", ".join(
             f"{name} {100 * rows[name]['success']:.0f} % in {rows[name]['time_s']:.1f} s at "
             f"{rows[name]['energy']:.0f} rad2/s2"
-            for name in HELD_OUT
+            for name in tasks
         )
         if agent in prices:
             summary = f"at {prices[agent]:.2g} times its price of energy: {summary}"
         print(f"{agent}: {summary}; reward {rows['score']:.2f}")
     print(f"best of {options.trials} held-out trials each: {trials['best']}")
+    share = trials["agents"][trials["best"]]["success"]
+    if share < learned:
+        print(
+            f"did not learn: {trials['best']} reaches {100 * share:.0f} % of its targets, below "
+            f"{100 * learned:.0f} %; train it for more --steps, or with another --seed"
+        )
+    return bool(share >= learned)
 
 
 def arguments_of(options: argparse.Namespace) -> dict[str, Any]:
     """Arguments of ``train_run`` as JSON values; options override those of ``--quick``."""
     given = {name: getattr(options, name, None) for name in OPTIONS}
-    options_set = {name: value for name, value in given.items() if value is not None}
+    options_set = {k: x for k, x in given.items() if x is not None and x is not False}
     trainer = TRAINERS[options.controller]
     if options.first:
         options_set["first"] = [str(path.absolute()) for path in options.first]

@@ -214,18 +214,24 @@ SEED = 77_000
 PRICE_SEED = 78_000
 
 
-def held_out(trials: DrawnTrials, folders: Sequence[Path], energy: float) -> dict[str, Any]:
+def held_out(
+    trials: DrawnTrials,
+    folders: Sequence[Path],
+    energy: float,
+    names: Sequence[str] = HELD_OUT,
+) -> dict[str, Any]:
     """Test agents, with their mean actions, in the same randomized trials at one weight of energy.
 
     Returns in training are no substitute: there actions are sampled and the energy weight grows.
-    The result: ``best``, the folder name of the agent with the highest score, and by name ``score``
-    and the summary of each task.
+    ``names`` are those of the tasks. The result: ``best``, the folder name of the agent with the
+    highest score, and by name ``score``, the ``success`` over all tasks and the summary of each.
     """
     makers = {folder.name: trials.maker(str(folder / "policy.zip")) for folder in folders}
-    tasks = [replace(TASKS[name], energy=energy) for name in HELD_OUT]
+    tasks = [replace(TASKS[name], energy=energy) for name in names]
     agents = trials.summaries(tasks, makers, SEED)
     for rows in agents.values():
-        rows["score"] = float(np.mean([rows[name]["reward"] for name in HELD_OUT]))
+        for mean, figure in (("score", "reward"), ("success", "success")):
+            rows[mean] = float(np.mean([rows[name][figure] for name in names]))
     best = max(agents, key=lambda agent: agents[agent]["score"])
     return {"best": best, "energy_weight": energy, "episodes": trials.episodes, "agents": agents}
 

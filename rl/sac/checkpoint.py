@@ -7,6 +7,7 @@ import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,7 +16,7 @@ from torch import Tensor
 from rl.sac.agents import Agents
 from rl.sac.plan import Plan
 from sim2real.arrays import Array
-from sim2real.errors import InputError
+from sim2real.errors import InputError, library
 from sim2real.output import write_whole
 from sim2real.report.drawing import save_png
 from sim2real.report.style import ACCENT, FAINT, INK, house_style, new_figure
@@ -55,6 +56,25 @@ class Progress:
         if not np.isfinite(returns).any():
             return "no episode has ended"
         return f"return {np.nanmean(returns):.1f}, {100 * np.nanmean(success):.0f} % arrive"
+
+
+class TensorBoard:
+    """A report of rows of progress, as ``train_run`` takes it, that TensorBoard shows live."""
+
+    def __init__(self, folder: Path) -> None:
+        """Write each agent's events to ``folder/NAME``; MissingLibrary without TensorBoard."""
+        library("tensorboard", "--tensorboard")
+        self._folder, self._writers = folder, dict[str, Any]()
+
+    def __call__(self, name: str, row: Mapping[str, float]) -> None:
+        """Write the finite columns of an agent's row."""
+        from torch.utils.tensorboard import SummaryWriter
+
+        if name not in self._writers:
+            self._writers[name] = SummaryWriter(self._folder / name, flush_secs=5)  # type: ignore[no-untyped-call]
+        for column, value in row.items():
+            if column != "steps" and math.isfinite(value):
+                self._writers[name].add_scalar(column, value, int(row["steps"]))
 
 
 def write_progress(path: Path, columns: Sequence[str], rows: Iterable[Sequence[float]]) -> None:
@@ -110,7 +130,7 @@ def load(folder: Path, agents: Agents) -> Progress | None:
     for name, tensor in state.items():
         tensor.copy_(torch.from_numpy(arrays[name]))
     memory[:, :filled] = torch.from_numpy(arrays["memory"]).to(agents.device)
-    agents.position = position
+    agents.position = position if filled == memory.shape[1] else filled  # it may have grown
     agents.set_filled(filled)
     return progress
 
@@ -133,17 +153,16 @@ def read_progress(folder: Path) -> dict[str, Array]:
 
 
 def _curve(progress: Mapping[str, Array]) -> Array:
-    """Steps, mean return and success of groups of rows with at least 64 episodes, (3, points)."""
-    points, rows = np.empty((0, 3)), list[int]()
-    for k in np.flatnonzero(progress["episodes"] > 0).tolist():
-        rows.append(k)
-        weight = progress["episodes"][rows]
-        if weight.sum() >= 64:
-            table = np.array([progress["mean_return"][rows], progress["success"][rows]])
-            means = np.average(table, axis=1, weights=weight)
-            points = np.vstack([points, [progress["steps"][k], *means]])
-            rows = []
-    return points.T
+    """Steps, mean return and success of the last 64 episodes, in each row that had one, (3, n)."""
+    ended = np.flatnonzero(progress["episodes"] > 0)
+    weight = progress["episodes"][ended]
+    table = np.array(
+        [progress["mean_return"][ended], progress["success"][ended], np.ones(len(ended))]
+    )
+    sums = np.cumsum(np.hstack([np.zeros((3, 1)), table * weight]), axis=1)
+    first = np.searchsorted(sums[2], sums[2, 1:] - 64, side="right") - 1  # of 64 or a few more
+    means = sums[:, 1:] - sums[:, first.clip(min=0)]
+    return np.vstack([progress["steps"][ended], means[:2] / means[2]])
 
 
 def _mean_curve(curves: Sequence[Array]) -> Array:

@@ -49,10 +49,12 @@ class Settings:
 
 
 PLAIN = Settings(
-    rate=3e-4, rate_end=1.0, hidden=(256, 256), warm_up=5_000, updates_per_step=1.0,
-    entropy_target=(-1.0, -1.0), norm=False, prices=1.0, average=0.0,
+    rate=3e-4, rate_end=1.0, hidden=(256, 256), warm_up=100, updates_per_step=1.0,
+    entropy_start=1.0, entropy_target=(-1.0, -1.0), noise_s=0.0, mirror=False, norm=False,
+    prices=1.0, average=0.0,
 )  # fmt: skip
-"""SAC with the paper's hyper-parameters (Lin, Liu, Wang, Table I)."""
+"""SAC of the paper (Lin, Liu, Wang, Table I). What it leaves unsaid, the first 100 random steps and
+the initial entropy coefficient of 1, is as in Stable-Baselines3."""
 
 
 class Arm(NamedTuple):
@@ -93,6 +95,14 @@ class Plan:
             ("--segment", self.segment, self.segment >= 1, "at least 1"),
             ("--updates-per-step", s.updates_per_step, s.updates_per_step > 0, "above 0"),
             ("--learning-rate", s.rate, s.rate > 0, "above 0"),
+            ("--rate-end", s.rate_end, 0 <= s.rate_end <= 1, "from 0 to 1"),
+            ("--batch", s.batch, s.batch >= 1, "at least 1"),
+            ("--hidden", s.hidden, len(s.hidden) > 0 and min(s.hidden) >= 1, "at least 1 each"),
+            ("--warm-up", s.warm_up, s.warm_up >= 0, "at least 0"),
+            ("--entropy-start", s.entropy_start, s.entropy_start > 0, "above 0"),
+            ("--noise-s", s.noise_s, s.noise_s >= 0, "at least 0"),
+            ("--prices", s.prices, s.prices >= 1, "at least 1"),
+            ("--average", s.average, 0 <= s.average < 1, "from 0 to below 1"),
             ("--discount", s.gamma, 0 <= s.gamma < 1, "from 0 to below 1"),
             ("--energy-start", self.energy_start, 0 <= self.energy_start <= 1, "from 0 to 1"),
         ):
@@ -121,7 +131,8 @@ _CHAIN = replace(TASKS["chain"], energy=7e-4)
 RECIPES: Mapping[str, Plan] = {
     "default": Plan(_CHAIN, settings=Settings(batch=128)),
     "paper": Plan(
-        TASKS["point"], energy_start=1.0, steps=800_000, view=PAPER, settings=PLAIN
+        TASKS["point"], steps=1_000_000, envs=1, segment=50_000, energy_start=1.0, view=PAPER,
+        settings=PLAIN,
     ),
     "fine": Plan(
         _CHAIN, energy_start=1.0, steps=200_000, envs=32, segment=32_000,
@@ -147,23 +158,37 @@ swim yet with their mean action."""
 _OF_PLAN = ("steps", "envs", "segment", "energy_start")
 _OF_SETTINGS = {
     "updates_per_step": "updates_per_step", "learning_rate": "rate", "discount": "gamma",
-    "hidden": "hidden",
+    "rate_end": "rate_end", "batch": "batch", "hidden": "hidden", "warm_up": "warm_up",
+    "entropy_start": "entropy_start", "entropy_target": "entropy_target", "noise_s": "noise_s",
+    "prices": "prices", "average": "average",
 }  # fmt: skip
-OPTIONS = ("recipe", "task", "energy_weight", *_OF_PLAN, *_OF_SETTINGS)
-"""Options of a plan, as on the command line; None for the value of the recipe."""
+_OFF = {"no_mirror": "mirror", "no_norm": "norm"}
+OPTIONS = ("recipe", "task", "view", "energy_weight", *_OF_PLAN, *_OF_SETTINGS, *_OFF)
+"""Options of a plan, as on the command line; None or False for the value of the recipe. Every field
+in which the default recipe differs from the paper's has one."""
+VIEWS = {"default": View(), "paper": PAPER}
+"""Views by the values of ``--view``."""
 
 
 def plan_of(options: Mapping[str, Any], **fields: Any) -> Plan:  # noqa: ANN401 - fields of Plan
     """A plan from some of ``OPTIONS`` and fields; what is missing or None is as in the recipe."""
-    given = {name: options[name] for name in OPTIONS if options.get(name) is not None}
+    chosen = {name: options.get(name) for name in OPTIONS}
+    given: dict[str, Any] = {
+        name: value for name, value in chosen.items() if value is not None and value is not False
+    }
     recipe = given.get("recipe", "default")
     check_choice("train", "--recipe", recipe, RECIPES)
     plan = RECIPES[recipe]
     task = given.get("task", plan.task.name)
     check_choice("train", "--task", task, TASKS)
     settings = {field: given[name] for name, field in _OF_SETTINGS.items() if name in given}
-    if "hidden" in settings:
-        settings["hidden"] = tuple(settings["hidden"])
+    settings |= {field: False for name, field in _OFF.items() if name in given}
+    for name in ("hidden", "entropy_target"):
+        if name in settings:
+            settings[name] = tuple(settings[name])
+    if "view" in given:
+        check_choice("train", "--view", given["view"], VIEWS)
+        fields["view"] = VIEWS[given["view"]]
     plan = replace(
         plan,
         task=replace(TASKS[task], energy=given.get("energy_weight", plan.task.energy)),

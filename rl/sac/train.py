@@ -12,7 +12,7 @@ import math
 import multiprocessing
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
@@ -27,21 +27,26 @@ from tqdm import tqdm
 
 from rl.make import Fidelity, digest, episodes_of, make_world, own_stream, spread_of
 from rl.sac.agents import Agents
-from rl.sac.checkpoint import Progress, load, save
-from rl.sac.plan import OPTIONS, QUICK, Arm, Plan, plan_of
+from rl.sac.checkpoint import COLUMNS, Progress, load, save
+from rl.sac.plan import OPTIONS, Arm, Plan, plan_of
+from rl.sac.plan import QUICK as SMALL
 from rl.sac.sac import make_sac, read_agent, start_from
 from rl.world import Decisions, Draws, Step
 from sim2real.errors import InputError
 from sim2real.output import provenance, write_json
 from sim2real.robot import Robot
-from sim2real.structured import read_json
+from sim2real.structured import finite_number, read_json
 
 __all__ = ["QUICK", "agent_names", "digest_of", "train", "train_in_parts", "train_run"]
 
+QUICK: dict[str, Any] = {"task": "near", **SMALL}
+"""Settings of ``train --quick``."""
 ACCEPTED = (*OPTIONS, "first")
 """Options of the command ``train`` that ``train_run`` accepts."""
-_ROW = 50
-"""Decisions in a row of statistics."""
+_ROW = 1000
+"""Most decisions of an agent in a row of statistics."""
+Report = Callable[[str, dict[str, float]], None]
+"""What is called while agents learn: with an agent's name and its newest row of progress."""
 
 
 def train_run(
@@ -56,9 +61,14 @@ def train_run(
     device: str = "cpu",
     cell_m: float = 0.02,
     threads: int = 1,
+    report: Report | None = None,
     **options: Any,  # noqa: ANN401
 ) -> list[Path]:
-    """Train one arm from files and JSON ``options`` of ``plan_of``; the folders of the agents."""
+    """Train one arm from files and JSON ``options`` of ``plan_of``; the folders of the agents.
+
+    ``report`` is called with an agent's name and every new row of its progress, by column; with
+    several seeds on a CPU, which are trained in two processes, it must be a picklable function.
+    """
     plan = plan_of(
         options, seeds=tuple(seeds), fidelity=fidelity, device=device, cell_m=cell_m,
         threads=threads,
@@ -66,7 +76,7 @@ def train_run(
     fish, draws, inputs = episodes_of(robot, model, ranges)
     trainer = train_in_parts if device == "cpu" and len(seeds) > 1 else train
     note, policies = provenance([*inputs, *first], None), [Path(path) for path in first]
-    return trainer(folder, fish, [Arm("policy", draws)], plan, note, first=policies)
+    return trainer(folder, fish, [Arm("policy", draws)], plan, note, first=policies, report=report)
 
 
 def train(
@@ -77,13 +87,16 @@ def train(
     note: dict[str, Any] | None = None,
     *,
     first: Sequence[Path] = (),
+    report: Report | None = None,
 ) -> list[Path]:
     """Train an agent for each arm and seed, all in one batch of robots.
 
     The folder gets ``run.json`` with ``note``, the provenance, ``checkpoint.npz`` and, for each
     agent, ``ARM-SEED/policy.zip`` and ``ARM-SEED/progress.csv``. ``first`` are policies to continue
     from, assigned to the seeds of every arm in turn, without replay memories. Returned are the
-    agents' folders: all seeds of the first arm, then those of the next.
+    agents' folders: all seeds of the first arm, then those of the next. A folder of the same run
+    with fewer steps is continued; its schedules are those of the longer run from there on.
+    ``report`` gets every new row, see ``train_run``.
     """
     names = agent_names(arms, plan.seeds)
     digests = [digest_of(arm.draws) for arm in arms]
@@ -94,7 +107,7 @@ def train(
         content["first"] = [hashlib.sha256(path.read_bytes()).hexdigest() for path in first]
     check_run(folder, content, note or {})
     with own_stream(plan.device):
-        _train(folder, robot, arms, plan, names, first)
+        _train(folder, robot, arms, plan, names, first, report)
     return [folder / name for name in names]
 
 
@@ -106,6 +119,7 @@ def train_in_parts(
     note: dict[str, Any] | None = None,
     *,
     first: Sequence[Path] = (),
+    report: Report | None = None,
 ) -> list[Path]:
     """Train as ``train`` does, in two processes with every second seed: ``part-0``, ``part-1``."""
     shares = [range(k, len(plan.seeds), 2) for k in range(min(2, len(plan.seeds)))]
@@ -113,7 +127,7 @@ def train_in_parts(
         partial(
             train, folder / f"part-{k}", robot, arms,
             replace(plan, seeds=tuple(plan.seeds[i] for i in share), threads=1), note,
-            first=[first[i % len(first)] for i in share if first],
+            first=[first[i % len(first)] for i in share if first], report=report,
         )
         for k, share in enumerate(shares)
     ]  # fmt: skip
@@ -145,12 +159,24 @@ def digest_of(draws: Draws) -> str:
 def check_run(
     folder: Path, content: dict[str, Any], note: dict[str, Any], same: Sequence[str] = ()
 ) -> None:
-    """Write ``run.json`` with content and provenance, or check that it is of the same run."""
+    """Write ``run.json`` with content and provenance, or check that it is of the same run.
+
+    A plan of more steps is of the same run, which is to be continued.
+    """
     path = folder / "run.json"
     if not path.exists():
         write_json(path, {**content, "provenance": note})
         return
     existing = read_json(path)
+    plan, before = content.get("plan"), existing.get("plan")
+    if isinstance(plan, dict) and isinstance(before, dict):
+        steps = finite_number(before.get("steps"))
+        if (
+            steps is not None
+            and steps < plan["steps"]
+            and {**before, "steps": 0} == {**plan, "steps": 0}
+        ):
+            existing["plan"] = plan
     origin = existing.get("provenance")
     found = origin if isinstance(origin, dict) else {}
     if any(existing.get(k) != content[k] for k in content) or any(
@@ -158,6 +184,8 @@ def check_run(
     ):
         expected = "the same options and files, or a new folder"
         raise InputError(folder, "run.json", "another run", expected)
+    if plan != before:
+        write_json(path, existing)
 
 
 def _train(
@@ -167,6 +195,7 @@ def _train(
     plan: Plan,
     names: Sequence[str],
     first: Sequence[Path],
+    report: Report | None,
 ) -> None:
     S, A = len(plan.seeds), len(names)
     if len(first) > S:
@@ -193,7 +222,7 @@ def _train(
     )  # fmt: skip
     with bar, ThreadPoolExecutor(1) if plan.device == "cpu" else nullcontext() as pool:
         while progress.steps < plan.steps:
-            _segment(decisions, agents, plan, progress, bar, pool, swims=bool(first))
+            _segment(decisions, agents, plan, progress, bar, pool, names, report, swims=bool(first))
             save(folder, agents, progress, names)
 
 
@@ -204,6 +233,8 @@ def _segment(
     progress: Progress,
     bar: Any,  # noqa: ANN401
     pool: Executor | None,
+    names: Sequence[str],
+    report: Report | None,
     *,
     swims: bool,
 ) -> None:
@@ -247,8 +278,11 @@ def _segment(
         tally.add(step, world.task.waypoints)
         progress.steps += batch_steps
         bar.update(batch_steps)
-        if tally.steps >= _ROW or progress.steps >= end:
+        if (tally.steps + 1) * n > _ROW or progress.steps >= end:
             progress.note(tally.take(), agents, plan)
+            if report is not None:
+                for name, rows in zip(names, progress.rows, strict=True):
+                    report(name, dict(zip(COLUMNS, rows[-1], strict=True)))
             _set_price(agents, plan, progress)
             bar.set_postfix_str(progress.summary())
 

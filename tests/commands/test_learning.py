@@ -27,9 +27,11 @@ def test_a_policy_is_trained_and_evaluated(tmp_path, capsys, monkeypatch):
     with monkeypatch.context() as patch:
         for name, task in TASKS.items():  # the trials that choose the price and the best agent
             patch.setitem(TASKS, name, shortened(task, 50))
-        assert main(["train", *FILES, *SMALL, *few, "--out", str(tmp_path / "run")]) == 0
+        assert main(["train", *FILES, *SMALL, *few, "--out", str(tmp_path / "run")]) == 1
     policy = tmp_path / "run" / "policy-0" / "policy.zip"
-    assert str(policy) in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert str(policy) in said
+    assert said.splitlines()[-1].startswith("did not learn: policy-0 reaches 0 %")
     assert json.loads((tmp_path / "run" / "trials.json").read_text())["best"] == "policy-0"
     assert (tmp_path / "run" / "curve.png").exists()
     out, plot = tmp_path / "turn.json", tmp_path / "turn.png"

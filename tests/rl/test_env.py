@@ -48,6 +48,29 @@ def test_the_registered_environment_passes_too():
 
 
 @pytest.mark.parametrize("view", [View(), PAPER])
+def test_actions_of_any_type_are_cast_and_clipped(view):
+    env = gymnasium.make("sim2real:sim2real/Fish-v0", view=view).unwrapped
+    seen = []
+    for action in ([3.0, -2, 0.1], np.array([1.0, -1.0, 0.1])):
+        env.reset(seed=4)
+        seen.append(env.step(action)[0])
+    assert np.array_equal(*seen)
+    several = gymnasium.make_vec("sim2real/Fish-v0", num_envs=2, view=view)
+    several.reset(seed=4)
+    steps = several.step([[9, -9, 0.1], [1.0, -1, 0.1]])
+    assert np.abs(steps[0][:, -3:]).max() <= (1.0 if view.memory else 20.0)
+
+
+def test_weights_of_the_reward_are_options():
+    options = {"energy_weight": 0.2, "reward": {"approach": 1.0, "energy": 5.0}}
+    task = gymnasium.make("sim2real/Fish-v0", task=TASKS["turn"], **options).unwrapped.world.task
+    assert (task.name, task.approach, task.energy, task.bonus) == ("turn", 1.0, 0.2, 10.0)
+    for wrong in ({"reward": {"speed": 1.0}}, {"energy_weight": -1.0}, {"reward": {"bonus": "x"}}):
+        with pytest.raises(InputError, match=r"speed|weight of (energy|bonus)"):
+            gymnasium.make("sim2real/Fish-v0", **wrong)
+
+
+@pytest.mark.parametrize("view", [View(), PAPER])
 def test_a_film_runs_at_the_speed_of_the_robot(world_of, view):
     """A picture a step: what it is shown for is what the step takes."""
     env = FishEnv(world_of(1), view, render_mode="rgb_array")

@@ -4,6 +4,7 @@ import io
 import json
 from contextlib import nullcontext
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,15 +21,16 @@ from rl.experiments.testbeds import DrawnTrials
 from rl.make import draw_models, noise_of
 from rl.observer import PAPER
 from rl.sac.checkpoint import COLUMNS, draw_curves, read_progress
-from rl.sac.plan import Settings
+from rl.sac.plan import RECIPES, Settings, plan_of
 from rl.sac.sac import read_agent
-from rl.sac.train import Arm, Plan, train, train_in_parts
+from rl.sac.train import Arm, Plan, train, train_in_parts, train_run
 from rl.task import TASKS, shortened
 from rl.world import Draws, Noise
 from sim2real.body import values
 from sim2real.errors import InputError
-from sim2real.ranges.entry import Ranges, normal, uniform
+from sim2real.ranges.entry import Ranges, normal, read_ranges, uniform
 
+POOL = Path(__file__).resolve().parents[2] / "datasets" / "pool"
 PLAN = Plan(
     shortened(TASKS["near"], 40),
     steps=1920,
@@ -110,6 +112,66 @@ def test_a_folder_of_another_run_is_refused(robot, model, tmp_path):
     train(tmp_path, robot, arms(model)[:1], short)
     with pytest.raises(InputError, match="another run"):
         train(tmp_path, robot, arms(model)[:1], replace(short, envs=4))
+
+
+def test_more_steps_continue_a_run(robot, model, tmp_path):
+    """What was learned stays, the memory grows; fewer steps are another run."""
+    seen = []
+    short = replace(PLAN, steps=640)
+    one = arms(model)[:1]
+    (folder, _) = train(tmp_path, robot, one, short, {"note": 1})
+    before = (folder / "progress.csv").read_text()
+    train(tmp_path, robot, one, replace(short, steps=1280), report=lambda *told: seen.append(told))
+    assert (folder / "progress.csv").read_text().startswith(before)
+    assert [(name, row["steps"]) for name, row in seen] == [("a-0", 1280), ("a-1", 1280)]
+    kept = json.loads((tmp_path / "run.json").read_text())
+    assert kept["plan"]["steps"] == 1280 and kept["provenance"] == {"note": 1}
+    with np.load(tmp_path / "checkpoint.npz") as stored:
+        assert stored["counts"].tolist() == [1280, 0, 320]
+        assert (stored["memory"] != 0).any(axis=2).all()
+    with pytest.raises(InputError, match="another run"):
+        train(tmp_path, robot, one, short)
+
+
+def test_the_paper_is_a_recipe_and_each_departure_an_option():
+    """Table I and the text of Lin, Liu and Wang, and what turns the default into it."""
+    paper, default = RECIPES["paper"], RECIPES["default"]
+    s = paper.settings
+    table = (s.gamma, s.memory, s.batch, s.rate, s.tau, s.updates_per_step)
+    assert table == (0.99, 1_000_000, 256, 3e-4, 0.005, 1.0)
+    assert [3 * one for one in s.entropy_target] == [-3.0, -3.0] and s.rate_end == 1.0
+    assert (s.hidden, paper.view, paper.steps, paper.envs) == ((256, 256), PAPER, 1_000_000, 1)
+    assert not (s.mirror or s.norm or s.noise_s or s.average) and s.prices == 1
+    assert paper.task == TASKS["point"] and paper.price(0.0) == 0.001
+    assert (paper.task.steps, paper.task.approach, paper.task.bonus) == (1000, 10.0, 10.0)
+    options = {
+        "task": "point", "view": "paper", "energy_weight": 0.001, "energy_start": 1.0,
+        "steps": 1_000_000, "envs": 1, "segment": 50_000, "updates_per_step": 1.0, "batch": 256,
+        "learning_rate": 3e-4, "rate_end": 1.0, "hidden": [256, 256], "warm_up": 100,
+        "entropy_start": 1.0, "entropy_target": [-1.0, -1.0], "noise_s": 0.0, "prices": 1.0,
+        "average": 0.0, "no_mirror": True, "no_norm": True,
+    }  # fmt: skip
+    assert plan_of(options).content() == paper.content() != default.content()
+    text = (POOL.parents[1] / "docs/explanation/learning.md").read_text()
+    for option in options:
+        assert f"--{option.replace('_', '-')}`" in text or f"--{option.replace('_', '-')} " in text
+
+
+def test_the_paper_trains_with_its_table_of_ranges(tmp_path):
+    table = POOL.parent / "ranges" / "table2.json"
+    noise = noise_of(read_ranges(table), ["j1", "j2", "j3"])
+    sd = (noise.position_m, noise.yaw_rad, *noise.joint_rad)
+    assert sd == pytest.approx((0.05, *np.deg2rad([3, 2, 2, 2])), abs=1e-5)
+    with pytest.raises(InputError, match="j1.position_noise_rad"):
+        noise_of(read_ranges(table), ["a"])
+    files = {"robot": str(POOL / "robot.toml"), "model": str(POOL / "calibrated.json")}
+    (folder,) = train_run(
+        tmp_path, **files, ranges=str(table), recipe="paper", steps=1150, segment=1100,
+        hidden=[16, 16], batch=16,
+    )  # fmt: skip
+    assert read_progress(folder)["steps"].tolist() == [1000, 1100, 1150]
+    low, high = read_agent(folder / "policy.zip").trained_over["j1.latency_s"]
+    assert 0.048 <= low < 0.053 < 0.083 < high <= 0.088
 
 
 def test_progress_says_what_happened(robot, model, tmp_path):
