@@ -84,6 +84,9 @@ class Plan:
     ramp: tuple[float, float] = (0.15, 0.25)
     # share of an agent's last episodes that must have succeeded for its weight to grow
     gate: float = 0.7
+    # shares of the steps after which a checkpoint's policy is kept: stages of learning, as in the
+    # paper's Fig. 5
+    kept: tuple[float, ...] = (0.125, 0.25, 0.5)
 
     def __post_init__(self) -> None:
         s = self.settings
@@ -112,7 +115,7 @@ class Plan:
 
     def content(self) -> dict[str, Any]:
         """All that determines the result, as JSON values."""
-        fields = {k: v for k, v in asdict(self).items() if k not in ("task", "threads")}
+        fields = {k: v for k, v in asdict(self).items() if k not in ("task", "threads", "kept")}
         task = {k: v for k, v in vars(self.task).items() if k != "place"}
         return json.loads(json.dumps({**fields, "task": task}))  # type: ignore[no-any-return]
 

@@ -11,6 +11,7 @@ import hashlib
 import math
 import multiprocessing
 import os
+import shutil
 import sys
 from collections.abc import Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
@@ -81,9 +82,10 @@ def train(
     """Train an agent for each arm and seed, all in one batch of robots.
 
     The folder gets ``run.json`` with ``note``, the provenance, ``checkpoint.npz`` and, for each
-    agent, ``ARM-SEED/policy.zip`` and ``ARM-SEED/progress.csv``. ``first`` are policies to continue
-    from, assigned to the seeds of every arm in turn, without replay memories. Returned are the
-    agents' folders: all seeds of the first arm, then those of the next.
+    agent, ``ARM-SEED/policy.zip``, ``progress.csv`` and ``policy-STEPS.zip`` of earlier stages.
+    ``first`` are policies to continue from, assigned to the seeds of every arm in turn, without
+    replay memories. Returned are the agents' folders: all seeds of the first arm, then those of the
+    next.
     """
     names = agent_names(arms, plan.seeds)
     digests = [digest_of(arm.draws) for arm in arms]
@@ -193,8 +195,13 @@ def _train(
     )  # fmt: skip
     with bar, ThreadPoolExecutor(1) if plan.device == "cpu" else nullcontext() as pool:
         while progress.steps < plan.steps:
+            before = progress.steps
             _segment(decisions, agents, plan, progress, bar, pool, swims=bool(first))
             save(folder, agents, progress, names)
+            if any(before < share * plan.steps <= progress.steps for share in plan.kept):
+                for name in names:
+                    kept = folder / name / f"policy-{progress.steps}.zip"
+                    shutil.copyfile(folder / name / "policy.zip", kept)
 
 
 def _segment(
