@@ -87,7 +87,8 @@ def world_of(
         model: Model of its servos and body, or ``MODEL.json``.
         ranges: Randomization ranges, or ``ranges.json``; without them every episode has the same
             robot and no noise.
-        task: ``point``, ``near``, ``mixed``, ``chain``, ``turn`` or ``pentagram``; see ``rl.task``.
+        task: ``point``, ``near``, ``mixed``, ``chain``, ``turn``, ``zones`` or ``pentagram``; see
+            ``rl.task``.
         fidelity: ``twin`` or ``fluid``.
         device: ``cpu`` or ``cuda:0``.
         cell_m: Side of a cell of the fluid, in m.

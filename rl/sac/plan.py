@@ -84,9 +84,8 @@ class Plan:
     ramp: tuple[float, float] = (0.15, 0.25)
     # share of an agent's last episodes that must have succeeded for its weight to grow
     gate: float = 0.7
-    # shares of the steps after which a checkpoint's policy is kept: stages of learning, as in the
-    # paper's Fig. 5
-    kept: tuple[float, ...] = (0.125, 0.25, 0.5)
+    # shares of the steps after which policies are kept, besides the last: stages of learning
+    kept: tuple[float, ...] = (0.03, 0.1, 0.3)
 
     def __post_init__(self) -> None:
         s = self.settings

@@ -11,9 +11,8 @@ import hashlib
 import math
 import multiprocessing
 import os
-import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
@@ -28,7 +27,7 @@ from tqdm import tqdm
 
 from rl.make import Fidelity, digest, episodes_of, make_world, own_stream, spread_of
 from rl.sac.agents import Agents
-from rl.sac.checkpoint import Progress, load, save
+from rl.sac.checkpoint import Progress, load, save, save_policies
 from rl.sac.plan import OPTIONS, QUICK, Arm, Plan, plan_of
 from rl.sac.sac import make_sac, read_agent, start_from
 from rl.world import Decisions, Draws, Step
@@ -195,13 +194,9 @@ def _train(
     )  # fmt: skip
     with bar, ThreadPoolExecutor(1) if plan.device == "cpu" else nullcontext() as pool:
         while progress.steps < plan.steps:
-            before = progress.steps
-            _segment(decisions, agents, plan, progress, bar, pool, swims=bool(first))
+            keep = partial(save_policies, folder, agents, progress, names)
+            _segment(decisions, agents, plan, progress, bar, pool, keep, swims=bool(first))
             save(folder, agents, progress, names)
-            if any(before < share * plan.steps <= progress.steps for share in plan.kept):
-                for name in names:
-                    kept = folder / name / f"policy-{progress.steps}.zip"
-                    shutil.copyfile(folder / name / "policy.zip", kept)
 
 
 def _segment(
@@ -211,10 +206,14 @@ def _segment(
     progress: Progress,
     bar: Any,  # noqa: ANN401
     pool: Executor | None,
+    keep: Callable[[str], None],
     *,
     swims: bool,
 ) -> None:
-    """Train until the next checkpoint; with ``swims`` the first actions are not random."""
+    """Train until the next checkpoint; with ``swims`` the first actions are not random.
+
+    ``keep`` is called with the name of a file for the policies of each stage.
+    """
     A, n, settings, world = len(agents.models), plan.envs, plan.settings, decisions.world
     end, J = min(progress.steps + plan.segment, plan.steps), len(world.low)
     seed = int(np.random.SeedSequence([*plan.seeds, progress.steps]).generate_state(1)[0])
@@ -224,7 +223,7 @@ def _segment(
     tally = Tally(A, n, world.device)
     noise = torch.randn(A, n, J, device=world.device)
     decay = math.exp(-plan.view.decision_s / settings.noise_s) if settings.noise_s > 0 else 0.0
-    due, batch_steps = 0.0, n * plan.view.period
+    due, batch_steps, noted = 0.0, n * plan.view.period, progress.steps
     _set_price(agents, plan, progress)
     while progress.steps < end:
         fresh = torch.randn(noise.shape, device=world.device)
@@ -256,6 +255,9 @@ def _segment(
         bar.update(batch_steps)
         if tally.steps >= _ROW or progress.steps >= end:
             progress.note(tally.take(), agents, plan)
+            if any(noted < share * plan.steps <= progress.steps for share in plan.kept):
+                keep(f"policy-{progress.steps}.zip")
+            noted = progress.steps
             _set_price(agents, plan, progress)
             bar.set_postfix_str(progress.summary())
 
