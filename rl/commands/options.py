@@ -69,7 +69,7 @@ _REPRODUCE = """
 results learning-curves|stages|calibration|turn|pentagram+: figures of the paper to make
 --out FOLDER!: folder for the figures (.png), the film (turn.mp4), their numbers (results.json) and
     a page (index.html)
---run FOLDER = datasets/pool/agents/full: a training (sim2real train --seeds 3): its curves, the
+--run FOLDER = datasets/pool/agents/ablation: a training (sim2real train --seeds 3): its curves, the
     policies that it kept at stages, and the policy that turns
 --policies POLICY+: controllers of the pentagram, as of evaluate, and the policy that turns
     (default: that of --run, pnl, adrc and a discrete CPG, datasets/pool/agents/discrete-cpg.zip)

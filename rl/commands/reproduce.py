@@ -16,7 +16,7 @@ from rl.commands.ablate import make_testbeds, reality_of
 from rl.commands.evaluate import table_line, trajectories
 from rl.experiments.episodes import FIGURES, Episodes, measured, summary
 from rl.experiments.film import Film, Reel
-from rl.experiments.named import shown
+from rl.experiments.named import shown, with_price
 from rl.experiments.testbeds import (
     Controllers,
     DrawnTrials,
@@ -68,6 +68,12 @@ def run(options: argparse.Namespace) -> int:
         print(f"{name}: {section.lead}")
     options.result = content
     inputs = [options.robot, options.model, options.ranges]
+    inputs += options.swims if "calibration" in content else []
+    inputs += [options.reality] if {"turn", "pentagram"} & content.keys() else []
+    if content.keys() - {"calibration", "learning-curves"}:
+        chosen = [Path(with_price(name)[0]) for name in options.policies or ()]
+        inputs += [path for path in chosen if path.exists()]
+        inputs += sorted(_best(options.run).glob("policy*.*"))
     note = provenance(inputs, options.seed)
     write_json(options.out / "results.json", {**content, "provenance": note})
     where = f"{fish.robot.name}, in the {options.fidelity}"
@@ -95,6 +101,7 @@ def stages(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     from rl.experiments.paths import zones_figure
     from rl.sac.checkpoint import read_progress
 
+    last = int(read_progress(_agents(options.run)[0])["steps"][-1])
     agent = _best(options.run)
     kept = sorted(agent.glob("policy-*.*"), key=_steps)
     trials = DrawnTrials(fish.robot, fish.model, None, options.episodes or 10, fish.settings)
@@ -103,7 +110,6 @@ def stages(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     swims = trials.run(TASKS["zones"], makers, options.seed)
     ways = {name: _paths(one) for name, one in swims.items()}
     rows = {name: summary(one, TASKS["zones"]) for name, one in swims.items()}
-    last = int(read_progress(agent)["steps"][-1])
     notes = {k: f"{_steps(x) or last:,} steps".replace(",", " ") for k, x in files.items()}
     figure = _figure(options, "stages", zones_figure(ways, notes))
     arrive = ", ".join(f"{100 * row['success']:.0f} %" for row in rows.values())
@@ -218,11 +224,11 @@ def _swims(
     return {name: episodes.of(who.owner == k) for k, name in enumerate(policies)}
 
 
-def _agents(folder: Path) -> list[Path]:
-    """Folders of the agents of a training."""
-    found = sorted(path.parent for path in folder.rglob("progress.csv"))
+def _agents(folder: Path, file: str = "progress.csv") -> list[Path]:
+    """Folders of the agents of a training, which have a ``file``."""
+    found = sorted({path.parent for path in folder.rglob(file)})
     if not found:
-        raise InputError(folder, "", "no agents", "a folder of sim2real train")
+        raise InputError(folder, "", f"no {file}", "a folder of sim2real train")
     return found
 
 
@@ -230,18 +236,14 @@ def _best(folder: Path) -> Path:
     """The agent that the held-out trials of a training chose, or its first."""
     from sim2real.structured import read_json
 
-    agents, trials = _agents(folder), folder / "trials.json"
+    agents, trials = _agents(folder, "policy.*"), folder / "trials.json"
     best = read_json(trials).get("best") if trials.exists() else None
     return next((agent for agent in agents if agent.name == best), agents[0])
 
 
 def _policy(agent: Path) -> Path:
     """The last policy of an agent."""
-    found = [agent / f"policy.{ending}" for ending in ("zip", "npz")]
-    for path in found:
-        if path.exists():
-            return path
-    raise InputError(agent, "", "no policy", "policy.zip or policy.npz")
+    return sorted(agent.glob("policy.*"))[-1]
 
 
 def _steps(policy: Path) -> int:

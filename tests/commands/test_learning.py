@@ -69,7 +69,7 @@ def test_what_the_paper_shows_is_one_command(tmp_path, capsys, monkeypatch):
     assert "SHA-256" in (out / "index.html").read_text()
     capsys.readouterr()
     assert main([*call[:-4], "--out", str(out), "--run", str(tmp_path / "none")]) == 2
-    assert "no agents" in capsys.readouterr().err
+    assert "no progress.csv" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
