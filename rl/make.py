@@ -90,8 +90,8 @@ def world_of(
         model: Model of its servos and body, or ``MODEL.json``.
         ranges: Randomization ranges, or ``ranges.json``; without them every episode has the same
             robot and no noise.
-        task: ``point``, ``near``, ``mixed``, ``chain``, ``turn`` or ``pentagram``, or a
-            ``rl.task.Task``.
+        task: ``point``, ``near``, ``mixed``, ``chain``, ``turn``, ``zones`` or
+            ``pentagram``, or a ``rl.task.Task``.
         energy_weight: Weight of the squared joint rates in the reward; by default the task's.
         reward: Weights of some of the reward's terms, ``approach``, ``energy`` and ``bonus``; by
             default the task's, 10, 0.001 and 10 in the paper.

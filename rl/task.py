@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from torch import Tensor
@@ -123,6 +124,28 @@ def turn(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]
     return pose, np.zeros((n, J)), (middle - 0.75 * ahead)[:, None]
 
 
+class Zone(NamedTuple):
+    """A square of the pool, its centre on the x axis."""
+
+    x_m: float
+    side_m: float = 0.6
+
+    def draw(self, rng: np.random.Generator, n: int) -> Array:
+        """Random points, shape (n, 2)."""
+        return rng.uniform(-self.side_m / 2, self.side_m / 2, (n, 2)) + [self.x_m, 0.0]
+
+
+START_ZONE, TARGET_ZONE = Zone(-1.0), Zone(1.0)
+"""Zones of the task ``zones``; the paper's Fig. 5 does not state where they are."""
+
+
+def zones(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
+    """At rest at a random place of the start zone, facing the target zone within 30 degrees."""
+    heading = rng.uniform(-np.pi / 6, np.pi / 6, n)
+    pose = np.column_stack([START_ZONE.draw(rng, n), heading])
+    return pose, np.zeros((n, J)), TARGET_ZONE.draw(rng, n)[:, None]
+
+
 def pentagram(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
     """A five-pointed star of radius 1.2 m: 21 waypoints, four per side and the first again."""
     angle = np.pi / 2 + 4 * np.pi / 5 * np.arange(6)
@@ -143,6 +166,7 @@ TASKS = {
     "mixed": Task("mixed", mixed),
     "chain": Task("chain", chain, waypoints=3),
     "turn": Task("turn", turn),
+    "zones": Task("zones", zones),
     "pentagram": Task("pentagram", pentagram, waypoints=21, steps=6000),
 }
 """All tasks by name."""

@@ -42,6 +42,7 @@ COMMANDS = {
     "evaluate": (_LEARNING, "measure policies and classical controllers on a task"),
     "forecast": (_LEARNING, "predict what policies will do on the real robot, with intervals"),
     "ablate": (_LEARNING, "train with and without each technique, and report the effect of each"),
+    "reproduce": (_LEARNING, "make the figures of the paper: curves, stages, turn, pentagram"),
     "export": (_LEARNING, "write a trained policy for NumPy, a microcontroller or ONNX"),
     "swim": (_LEARNING, "drive the robot, or a virtual one, to a target with a policy"),
     "import": (_SERVOS, "convert logs of other projects to recordings"),

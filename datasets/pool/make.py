@@ -1,6 +1,7 @@
 """Swims that ship: thirty seconds each of a robot in a pool of its own, something concealed.
 
     python datasets/pool/make.py OUT [--device cuda:0] [--cell-m 0.005] [--processes 2]
+    python datasets/pool/make.py OUT --only sine square --seconds 10
 
 A surrogate of reality, and simulated, not measured: see ``world``. Truth goes into ``truth.json``,
 which no fit may read.
@@ -51,11 +52,22 @@ _EFFECTS = (
     ),
 )
 WORLDS = tuple(replace(one, areas=AREAS) for one in _EFFECTS)
+CALIBRATION = tuple(replace(WORLDS[1], name=name) for name in ("sine", "square"))
+"""The robot of ``p1`` under the two signals of the paper's calibration figure."""
 
 
-def command(t: float, joints: int, phase: float) -> Array:
-    """Set-points: a wave, the paper's square in all joints, a wave that turns; rad."""
+_ALL = (*WORLDS, *CALIBRATION)
+
+
+def command(t: float, joints: int, phase: float, name: str) -> Array:
+    """Set-points: a wave, the paper's square in all joints, a wave that turns; rad.
+
+    Those of ``CALIBRATION`` are the paper's: 0.52 rad in all joints, a sine of 1 Hz or a square.
+    """
     lag = 1.2 * np.arange(joints)
+    if name in ("sine", "square"):
+        wave = np.sin(2 * np.pi * (1.0 if name == "sine" else 0.5) * (t - 0.5))
+        return np.full(joints, 0.52 * (t >= 0.5) * (wave if name == "sine" else np.sign(wave)))
     size = np.array([0.30, 0.45, 0.60])
     if t < 0.5:
         return np.zeros(joints)
@@ -70,7 +82,7 @@ def command(t: float, joints: int, phase: float) -> Array:
 
 def swim(numbers: list[int], options: argparse.Namespace) -> None:
     """Swim, film and write some of the worlds, each with its own random numbers."""
-    worlds = [WORLDS[k] for k in numbers]
+    worlds = [_ALL[k] for k in numbers]
     rngs = [np.random.default_rng([options.seed, k]) for k in numbers]
     world = World(
         worlds, device=options.device, cell_m=options.cell_m, rng=rngs[0], water=Water(box_m=BOX_M)
@@ -83,7 +95,11 @@ def swim(numbers: list[int], options: argparse.Namespace) -> None:
         at, angle = world.where()
         pose.append(at)
         joint.append(angle)
-        sent.append(np.array([command(t, len(names), phase) for phase in phases]))
+        sent.append(
+            np.array(
+                [command(t, len(names), x, one.name) for x, one in zip(phases, worlds, strict=True)]
+            )
+        )
         world.step(sent[-1])
     if world.stopped().any():
         raise SystemExit(f"boxes stopped: {np.flatnonzero(world.stopped()).tolist()}")
@@ -109,10 +125,14 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--seed", type=int, default=20261121)
     parser.add_argument("--processes", type=int, default=1, help="share the swims, on a CPU")
+    parser.add_argument("--only", nargs="+", default=[one.name for one in WORLDS])
     options = parser.parse_args()
-    parts = [list(range(k, len(WORLDS), options.processes)) for k in range(options.processes)]
+    chosen = [k for k, one in enumerate(_ALL) if one.name in options.only]
+    parts = [chosen[k :: options.processes] for k in range(options.processes)]
     with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
         list(pool.map(swim, parts, repeat(options)))
+    if options.only != [one.name for one in WORLDS]:
+        return
     truth = {
         "seed": options.seed, "cell_m": options.cell_m, "viscosity_m2_s": VISCOSITY_M2_S,
         "noise": NOISE, "worlds": [asdict(one) for one in WORLDS],

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -24,6 +25,9 @@ from sim2real.model import read_model
 from sim2real.output import check_writable, provenance, write_json
 from sim2real.ranges.entry import read_ranges
 from sim2real.robot import read_robot
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def run(options: argparse.Namespace) -> int:
@@ -58,7 +62,9 @@ def run(options: argparse.Namespace) -> int:
         content |= {"randomized": ranges is not None, "energy_weight": weight, "results": table}
         write_json(out, {**content, "provenance": provenance(inputs, options.seed)})
     if picture is not None:
-        draw(swims, picture)
+        from sim2real.report.drawing import save_png
+
+        save_png(trajectories(swims), picture)
     if options.video is not None:
         draws = draws_of(model, ranges, robot, seed=options.seed + UNSEEN, n=1)
         with Video(options.video) as video:
@@ -86,15 +92,13 @@ def table_line(name: str, row: dict[str, Any]) -> str:
     )
 
 
-def draw(swims: dict[str, Episodes], picture: Path) -> None:
+def trajectories(swims: Mapping[str, Episodes]) -> Figure:
     """Trajectories over the pool, a panel for each policy."""
     from rl.experiments.paths import pool_figure
-    from sim2real.report.drawing import save_png
 
     ways, notes = {}, {}
     for name, episodes in swims.items():
         time = episodes.time_s
         ways[shown(name)] = [episodes.pose[:, e, :2] for e in range(min(5, len(time)))]
         notes[shown(name)] = f"{time[0]:.1f} s" if np.isfinite(time[0]) else "does not arrive"
-    targets = next(iter(swims.values())).targets[0]
-    save_png(pool_figure(ways, targets, notes), picture)
+    return pool_figure(ways, next(iter(swims.values())).targets[0], notes)

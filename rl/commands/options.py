@@ -7,7 +7,7 @@ import argparse
 from rl import verbs
 from sim2real.commands.command import Command, add_executor, add_options, add_verb
 
-_TASKS = "point|near|mixed|chain|turn|pentagram"
+_TASKS = "point|near|mixed|chain|turn|zones|pentagram"
 _WATER = """
 --robot FILE!: the robot (robot.toml)
 --model FILE!: its servos and body (MODEL.json)
@@ -78,6 +78,22 @@ policies POLICY+: policy.zip, policy.zip@0.5 at another price of energy, policy.
 --plot FILE: plot of the trajectories to write (.png)
 --video FILE: video of each policy's first episode to write (.mp4, .avi or .gif)
 """
+_REPRODUCE = """
+results learning-curves|stages|calibration|turn|pentagram+: figures of the paper to make
+--out FOLDER!: folder for the figures (.png), the film (turn.mp4), their numbers (results.json) and
+    a page (index.html)
+--run FOLDER = datasets/pool/agents/ablation: a training (sim2real train --seeds 3): its curves, the
+    policies that it kept at stages, and the policy that turns
+--policies POLICY+: controllers of the pentagram, as of evaluate, and the policy that turns
+    (default: that of --run, pnl, adrc and a discrete CPG, datasets/pool/agents/discrete-cpg.zip)
+--swims SWIM+ = datasets/pool/sine.csv,datasets/pool/square.csv: recorded swims for calibration
+--reality FILE = datasets/pool/reality.json: where the turn and the pentagram are real: MODEL.json,
+    or a Python file with a function make
+--reality-cell-m X: cell of the fluid in the reality, m
+--episodes N: swims of each policy (default: 10 at each stage, 3 otherwise)
+""" + _WATER.replace("robot FILE!", "robot FILE = datasets/pool/robot.toml").replace(
+    "model FILE!", "model FILE = datasets/pool/calibrated.json"
+).replace("ranges FILE:", "ranges FILE = datasets/pool/ranges.json:")
 _FORECAST = """
 --out FILE!: forecast to write (forecast.json)
 --no-page: do not write the HTML page
@@ -120,6 +136,7 @@ _COMMANDS = {
     "demo": (_DEMO, "--out reports/demo"),
     "train": (_WATER + _TRAIN + _PLAN, f"--quick {_FISH} --out runs/quick"),
     "evaluate": (_WATER + _EVALUATE, f"policy.zip pnl --task turn {_FISH}"),
+    "reproduce": (_REPRODUCE, "calibration turn --out reproduced"),
     "ablate": (
         _WATER + _ABLATE + _PLAN,
         f"{_FISH} --ranges ranges.json --reality reality.py --out runs/ablation",

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
+import torch
 
+from rl.task import CONTROL_S
 from rl.world import World
+from sim.robot.shape import hull_of
 from sim.robot.swimmer import Swimmer
 from sim.view.canvas import add_line, blend, draw_ring, draw_robot, grid_lines, places, zoomed
 from sim.view.legend import INK, RULE, VORTICITY, Lettering, colours
 from sim.view.plane import Plane, front_ends, plane_of
-from sim.view.video import FRAMES_PER_S, Video
+from sim.view.video import FRAMES_PER_S
 from sim2real.arrays import Array, Mask, Picture
 
 TARGET = (20, 120, 84)
-_MARGIN_M = 0.1
+MARGIN_M = 0.1
+"""Width of the frame around the pool."""
 _DRAWN_FOR = 960
 
 
@@ -24,10 +28,26 @@ def still(world: World) -> Picture:
     return _Camera(world, "", 480).picture()
 
 
+class Frames(Protocol):
+    """Where the frames of a film go: a ``Video``, or a list of pictures."""
+
+    width: int  # in pixels
+
+    def add(self, image: Picture) -> None:
+        """Append a frame."""
+
+
+class Reel(list[Picture]):
+    """The frames of a film, in memory."""
+
+    width = 640
+    add = list.append
+
+
 class Film:
     """The part of a video that shows one policy's first robot, ``width`` pixels wide (even)."""
 
-    def __init__(self, video: Video, world: World, name: str, *, width: int | None = None) -> None:
+    def __init__(self, video: Frames, world: World, name: str, *, width: int = 0) -> None:
         # by default three quarters of the video's, as the pool is about as high as it is wide
         self._camera = _Camera(world, name, width or 2 * round(0.75 * video.width / 2))
         self._video, self._taken = video, 0
@@ -58,7 +78,7 @@ class _Camera:
 
     def __init__(self, world: World, name: str, width: int) -> None:
         self._world, self._name = world, name
-        length, breadth = (side + 2 * _MARGIN_M for side in world.task.domain_m)
+        length, breadth = (side + 2 * MARGIN_M for side in world.task.domain_m)
         self._pixels = width / length
         height = 2 * round(breadth * self._pixels / 2)
         self._x, self._y = places((0.0, 0.0), self._pixels, width, height)
@@ -69,8 +89,7 @@ class _Camera:
     @property
     def clock(self) -> float:
         """Seconds since the robot's start."""
-        live: Any = self._world.simulator.live()
-        return float(live.clock.numpy()[0])
+        return CONTROL_S * int(self._world.elapsed[0])
 
     def follow(self) -> None:
         """Extend the trajectory."""
@@ -83,15 +102,15 @@ class _Camera:
     def picture(self) -> Picture:
         """The current picture."""
         world, x, y, clock = self._world, self._x, self._y, self.clock
-        simulator: Any = world.simulator
+        simulator = world.simulator
         plane: Plane | None = None
         if isinstance(simulator, Swimmer):
             plane = plane_of(simulator, 0)
             links = plane.links
             canvas = colours(zoomed(plane, x, y) / VORTICITY)
         else:
-            drift = simulator.current[0] * clock
-            links = front_ends(simulator.chain, simulator.motion, drift, 0)
+            q = torch.cat([world.pose[0], world.joint[0]]).cpu().double().numpy()
+            links = front_ends(simulator.robot, q)
             canvas = np.full((y.size, x.size, 3), 255.0)
         blend(canvas, self._rules, RULE)
         waypoint = int(world.waypoint[0])
@@ -99,7 +118,7 @@ class _Camera:
             opacity = 0.5 if k == waypoint else 0.0
             draw_ring(canvas, target, world.task.arrive_m, x, y, TARGET, opacity)
         blend(canvas, 0.8 * self._way, INK)
-        draw_robot(canvas, simulator.hull, links, x, y)
+        draw_robot(canvas, hull_of(simulator.robot), links, x, y)
         lettering = Lettering(np.rint(canvas).astype(np.uint8), _DRAWN_FOR)
         lettering.write(lettering.left, lettering.top, self._name, "lt", large=True)
         caption = f"{clock:.2f} s"

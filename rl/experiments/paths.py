@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rl.task import POINT
+from rl.experiments.episodes import FIGURES
+from rl.task import POINT, START_ZONE, TARGET_ZONE
 from sim2real.arrays import Array
 from sim2real.report.style import ACCENT, FAINT, INK, RULE, house_style, new_figure
 
@@ -48,6 +49,39 @@ def pool_figure(
         axes.set_title(notes[name], loc="right")
 
     return _panels(panels, "Trajectories over the pool", height, mark, shared=False)
+
+
+def zones_figure(ways: Mapping[str, Sequence[Array]], notes: Mapping[str, str]) -> Figure:
+    """Paths between the start zone (red) and the target zone (green), a panel for each policy."""
+    style = {"color": INK, "alpha": 0.6, "lw": 0.8}
+
+    def mark(axes: Any, name: str) -> None:  # noqa: ANN401
+        from matplotlib.patches import Rectangle
+
+        axes.grid(False)
+        for zone, colour in ((START_ZONE, "tab:red"), (TARGET_ZONE, "tab:green")):
+            side, corner = zone.side_m, (zone.x_m - zone.side_m / 2, -zone.side_m / 2)
+            axes.add_patch(Rectangle(corner, side, side, color=colour, alpha=0.2, lw=0))
+        ends = np.array([way[np.isfinite(way[:, 0])][-1] for way in ways[name]])
+        axes.plot(*ends.T, "o", color=ACCENT, markersize=3)
+        axes.set(xlim=(-1.5, 1.5), ylim=(-0.75, 0.75), xlabel="x (m)")
+        axes.set_title(notes[name], loc="right")
+
+    panels = {name: [(way, style) for way in of_name] for name, of_name in ways.items()}
+    return _panels(panels, "Paths at stages of training", 240, mark, shared=True)
+
+
+def bars_figure(figures: Mapping[str, Mapping[str, Array]]) -> Figure:
+    """Mean and standard deviation of time and energy of each controller's trials, as bars."""
+    with house_style():
+        figure = new_figure(260, "Time and energy of each controller")
+        for axes, name in zip(figure.subplots(1, 2), ("time_s", "energy"), strict=True):
+            spent = [of_name[name] for of_name in figures.values()]
+            mean, sd = np.mean(spent, axis=1), np.std(spent, axis=1)
+            colours = [ACCENT, *[FAINT] * (len(spent) - 1)]
+            axes.bar(list(figures), mean, 0.6, yerr=sd, color=colours, error_kw={"lw": 1})
+            axes.set_title(FIGURES[name].label)
+    return figure
 
 
 def paths_figure(

@@ -20,7 +20,7 @@ from rl.make import Fidelity, digest, draws_of, make_world, own_stream
 from rl.sac.sac import read_agent
 from rl.sac.train import digest_of
 from rl.task import TASKS, Task
-from rl.world import Draws
+from rl.world import Draws, World
 from sim2real.arrays import Array, Array32, Index, Mask
 from sim2real.model import Model
 from sim2real.ranges.entry import Ranges
@@ -47,8 +47,15 @@ class SimulationSettings:
 
 
 IN_TWIN = SimulationSettings()
+Watcher = Callable[[World], Callable[[Mask], None]]
+"""From a world to what is called after each of its control periods, see ``run_episodes``."""
 Maker = Callable[[int], Controller]
 """A function of the number of robots to their controller."""
+
+
+def unwatched(_: World) -> Callable[[Mask], None]:
+    """Watch nothing."""
+    return lambda going: None
 
 
 class Controllers:
@@ -93,6 +100,7 @@ def simulate(
     *,
     seed: int,
     name: str,
+    watcher: Watcher = unwatched,
     **options: Any,  # noqa: ANN401 - those of ``make_world``
 ) -> Episodes:
     """One episode of each robot in the fluid or the twin, all at once."""
@@ -101,7 +109,7 @@ def simulate(
             robot, replace(task, place=lambda *_: starts), draws, n_envs=len(starts.pose),
             seed=seed, **settings.world, **options,
         )  # fmt: skip
-        return run_episodes(world, controller, name=name)
+        return run_episodes(world, controller, name=name, watch=watcher(world))
 
 
 @dataclass(frozen=True)
@@ -147,7 +155,8 @@ class Testbed(NamedTuple):
     name: str
     description: str
     key: str
-    swim: Callable[[Controllers, Robot, Task, Starts, int], Episodes]
+    # from controllers, robot, task, starts, a seed and a ``Watcher`` of the first world to episodes
+    swim: Callable[..., Episodes]
 
 
 def simulated(
@@ -158,8 +167,12 @@ def simulated(
 ) -> Testbed:
     """The fluid or the twin, with robot and noise of each agent, in the agents' order."""
 
-    def swim(who: Controllers, robot: Robot, task: Task, starts: Starts, seed: int) -> Episodes:
-        return simulate(robot, task, starts, draws, who, settings, seed=seed, name=name, **options)
+    def swim(
+        who: Controllers, robot: Robot, task: Task, starts: Starts, seed: int,
+        watcher: Watcher = unwatched,
+    ) -> Episodes:  # fmt: skip
+        more = {**options, "seed": seed, "name": name, "watcher": watcher}
+        return simulate(robot, task, starts, draws, who, settings, **more)
 
     fluid = settings.fidelity == "fluid"
     water = f"fluid, cells of {100 * settings.cell_m:g} cm" if fluid else "twin"
@@ -170,14 +183,18 @@ def simulated(
 def real(file: RealityFile, device: str = "cpu") -> Testbed:
     """A user-defined reality; its robots swim in groups of equal size, at most ``at_once``."""
 
-    def swim(who: Controllers, robot: Robot, task: Task, starts: Starts, seed: int) -> Episodes:
+    def swim(
+        who: Controllers, robot: Robot, task: Task, starts: Starts, seed: int,
+        watcher: Watcher = unwatched,
+    ) -> Episodes:  # fmt: skip
         total = len(who.owner)
         n = max(n for n in range(1, (file.at_once or total) + 1) if total % n == 0)
         reality = file(robot, n, seed, device)
-        parts = []
+        parts: list[Episodes] = []
         for rows in np.arange(total).reshape(-1, n):
             world = real_world(reality, robot, task, starts.of(rows), str(file.files[0]))
-            parts.append(run_episodes(world, who.of(rows), name="reality"))
+            watch = (unwatched if parts else watcher)(world)
+            parts.append(run_episodes(world, who.of(rows), name="reality", watch=watch))
         return _joined(parts)
 
     options = "".join(f", {key} {value}" for key, value in file.options.items())

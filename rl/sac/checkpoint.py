@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -21,6 +21,9 @@ from sim2real.output import write_whole
 from sim2real.report.drawing import save_png
 from sim2real.report.style import ACCENT, FAINT, INK, house_style, new_figure
 from sim2real.structured import read_arrays, reason
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 COLUMNS = (
     "steps", "episodes", "mean_return", "success", "mean_length", "actor_loss", "critic_loss",
@@ -90,19 +93,27 @@ def save(folder: Path, agents: Agents, progress: Progress, names: Sequence[str])
     content = json.dumps([progress.rows, progress.grown, progress.success])
     arrays["progress"] = np.frombuffer(content.encode(), np.uint8)
     arrays["counts"] = np.array([progress.steps, agents.position, agents.filled])
-    prices = agents.settings.prices
-    with agents.averaged():
-        columns = agents.actor.weights[0][:, :, 0].cpu().numpy()
-        for a, (name, model) in enumerate(zip(names, agents.models, strict=True)):
-            write_progress(folder / name / "progress.csv", COLUMNS, progress.rows[a])
-            model.num_timesteps = progress.steps
-            column = columns[a].copy() if prices > 1 else None
-            model.by_price = {"prices": prices, "column": column, "share": 0.0}
-            model.save(folder / name / "policy.zip")
+    for name, rows in zip(names, progress.rows, strict=True):
+        write_progress(folder / name / "progress.csv", COLUMNS, rows)
+    save_policies(folder, agents, progress, names, "policy.zip")
     temporary = folder / f".{CHECKPOINT}"
     with temporary.open("wb") as stream:
         np.savez(stream, **arrays)  # type: ignore[arg-type]
     os.replace(temporary, folder / CHECKPOINT)
+
+
+def save_policies(
+    folder: Path, agents: Agents, progress: Progress, names: Sequence[str], file: str
+) -> None:
+    """Write the policy of each agent to ``file`` in its folder."""
+    prices = agents.settings.prices
+    with agents.averaged():
+        columns = agents.actor.weights[0][:, :, 0].cpu().numpy()
+        for a, (name, model) in enumerate(zip(names, agents.models, strict=True)):
+            model.num_timesteps = progress.steps
+            column = columns[a].copy() if prices > 1 else None
+            model.by_price = {"prices": prices, "column": column, "share": 0.0}
+            model.save(folder / name / file)
 
 
 def load(folder: Path, agents: Agents) -> Progress | None:
@@ -165,34 +176,43 @@ def _curve(progress: Mapping[str, Array]) -> Array:
     return np.vstack([progress["steps"][ended], means[:2] / means[2]])
 
 
-def _mean_curve(curves: Sequence[Array]) -> Array:
-    """The mean of non-empty curves, in their common range of steps."""
+def _mean_curve(curves: Sequence[Array]) -> tuple[Array, Array]:
+    """Mean and standard deviation of non-empty curves, in their common range of steps."""
     curves = [curve for curve in curves if curve.size]
     if not curves:
-        return np.empty((3, 0))
+        return np.empty((3, 0)), np.empty((3, 0))
     start, end = max(c[0, 0] for c in curves), min(c[0, -1] for c in curves)
     steps = np.linspace(start, max(start, end), 100)
-    means = (np.mean([np.interp(steps, c[0], c[n]) for c in curves], axis=0) for n in (1, 2))
-    return np.array([steps, *means])
+    table = np.array([[steps, *(np.interp(steps, c[0], c[n]) for n in (1, 2))] for c in curves])
+    return table.mean(axis=0), table.std(axis=0)
 
 
 def draw_curves(agents: Mapping[str, Sequence[Path]], path: Path) -> None:
-    """Plot return and success against steps: a line per agent of a single group, or group means."""
+    """Write ``curves_figure`` as a PNG file."""
+    save_png(curves_figure(agents), path)
+
+
+def curves_figure(agents: Mapping[str, Sequence[Path]]) -> Figure:
+    """Return and success against steps: means of groups of agents.
+
+    Of a single group, the standard deviation over its agents is shaded, as in the paper's Fig. 5.
+    """
     with house_style():
         figure = new_figure(420, "Return and success of episodes against training steps")
         upper, lower = figure.subplots(2, 1, sharex=True)
         for k, (group, folders) in enumerate(agents.items()):
             colour = ACCENT if k == 0 else (INK, FAINT)[(k - 1) % 2]
             style = ("-", "-", "-", "--", "--", ":")[k % 6]
-            curves = [_curve(read_progress(folder)) for folder in folders]
-            for n, curve in enumerate(curves if len(agents) == 1 else [_mean_curve(curves)]):
-                steps, mean, won = curve
-                label = group if n == 0 else None
-                upper.plot(steps / 1e3, mean, style, color=colour, lw=1.1, label=label)
-                lower.plot(steps / 1e3, 100 * won, style, color=colour, lw=1.1)
+            mean, sd = _mean_curve([_curve(read_progress(folder)) for folder in folders])
+            for axes, n, unit in ((upper, 1, 1), (lower, 2, 100)):
+                line = unit * mean[n]
+                axes.plot(mean[0] / 1e3, line, style, color=colour, lw=1.1, label=group)
+                if len(agents) == 1 and len(folders) > 1:
+                    low, high = line - unit * sd[n], line + unit * sd[n]
+                    axes.fill_between(mean[0] / 1e3, low, high, color=colour, alpha=0.2, lw=0)
         upper.set_title("mean return of the episodes that ended")
         lower.set_title("share that arrived (%)")
         lower.set(xlabel="steps of the environment, thousands", ylim=(0, 100))
         if len(agents) > 1:
             figure.legend(*upper.get_legend_handles_labels(), loc="outside upper right", ncols=3)
-    save_png(figure, path)
+    return figure

@@ -86,6 +86,8 @@ class Plan:
     ramp: tuple[float, float] = (0.15, 0.25)
     # share of an agent's last episodes that must have succeeded for its weight to grow
     gate: float = 0.7
+    # shares of the steps after which policies are kept, besides the last: stages of learning
+    kept: tuple[float, ...] = (0.03, 0.1, 0.3)
 
     def __post_init__(self) -> None:
         s = self.settings
@@ -122,7 +124,7 @@ class Plan:
 
     def content(self) -> dict[str, Any]:
         """All that determines the result, as JSON values."""
-        fields = {k: v for k, v in asdict(self).items() if k not in ("task", "threads")}
+        fields = {k: v for k, v in asdict(self).items() if k not in ("task", "threads", "kept")}
         task = {k: v for k, v in vars(self.task).items() if k != "place"}
         return json.loads(json.dumps({**fields, "task": task}))  # type: ignore[no-any-return]
 

@@ -27,7 +27,7 @@ from tqdm import tqdm
 
 from rl.make import Fidelity, digest, episodes_of, make_world, own_stream, spread_of
 from rl.sac.agents import Agents
-from rl.sac.checkpoint import COLUMNS, Progress, load, save
+from rl.sac.checkpoint import COLUMNS, Progress, load, save, save_policies
 from rl.sac.plan import OPTIONS, Arm, Plan, plan_of
 from rl.sac.plan import QUICK as SMALL
 from rl.sac.sac import make_sac, read_agent, start_from
@@ -92,11 +92,11 @@ def train(
     """Train an agent for each arm and seed, all in one batch of robots.
 
     The folder gets ``run.json`` with ``note``, the provenance, ``checkpoint.npz`` and, for each
-    agent, ``ARM-SEED/policy.zip`` and ``ARM-SEED/progress.csv``. ``first`` are policies to continue
-    from, assigned to the seeds of every arm in turn, without replay memories. Returned are the
-    agents' folders: all seeds of the first arm, then those of the next. A folder of the same run
-    with fewer steps is continued; its schedules are those of the longer run from there on.
-    ``report`` gets every new row, see ``train_run``.
+    agent, ``ARM-SEED/policy.zip``, ``progress.csv`` and ``policy-STEPS.zip`` of earlier stages.
+    ``first`` are policies to continue from, assigned to the seeds of every arm in turn, without
+    replay memories. Returned are the agents' folders: all seeds of the first arm, then those of the
+    next. A folder of the same run with fewer steps is continued; its schedules are those of the
+    longer run from there on. ``report`` gets every new row, see ``train_run``.
     """
     names = agent_names(arms, plan.seeds)
     digests = [digest_of(arm.draws) for arm in arms]
@@ -220,9 +220,19 @@ def _train(
         total=plan.steps, initial=progress.steps, desc="train", unit="step", disable=None,
         smoothing=0.05,
     )  # fmt: skip
+
+    def noted() -> None:
+        """Report the newest rows; keep the policies at the end of a stage."""
+        for name, rows in zip(names, progress.rows, strict=True):
+            if report is not None:
+                report(name, dict(zip(COLUMNS, rows[-1], strict=True)))
+        before = progress.rows[0][-2][0] if len(progress.rows[0]) > 1 else 0
+        if any(before < share * plan.steps <= progress.steps for share in plan.kept):
+            save_policies(folder, agents, progress, names, f"policy-{progress.steps}.zip")
+
     with bar, ThreadPoolExecutor(1) if plan.device == "cpu" else nullcontext() as pool:
         while progress.steps < plan.steps:
-            _segment(decisions, agents, plan, progress, bar, pool, names, report, swims=bool(first))
+            _segment(decisions, agents, plan, progress, bar, pool, noted, swims=bool(first))
             save(folder, agents, progress, names)
 
 
@@ -233,12 +243,14 @@ def _segment(
     progress: Progress,
     bar: Any,  # noqa: ANN401
     pool: Executor | None,
-    names: Sequence[str],
-    report: Report | None,
+    noted: Callable[[], None],
     *,
     swims: bool,
 ) -> None:
-    """Train until the next checkpoint; with ``swims`` the first actions are not random."""
+    """Train until the next checkpoint; with ``swims`` the first actions are not random.
+
+    ``noted`` is called after every row of statistics.
+    """
     A, n, settings, world = len(agents.models), plan.envs, plan.settings, decisions.world
     end, J = min(progress.steps + plan.segment, plan.steps), len(world.low)
     seed = int(np.random.SeedSequence([*plan.seeds, progress.steps]).generate_state(1)[0])
@@ -280,9 +292,7 @@ def _segment(
         bar.update(batch_steps)
         if (tally.steps + 1) * n > _ROW or progress.steps >= end:
             progress.note(tally.take(), agents, plan)
-            if report is not None:
-                for name, rows in zip(names, progress.rows, strict=True):
-                    report(name, dict(zip(COLUMNS, rows[-1], strict=True)))
+            noted()
             _set_price(agents, plan, progress)
             bar.set_postfix_str(progress.summary())
 

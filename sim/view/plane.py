@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim.robot.chain import Chain, Motion
-from sim.robot.shape import Hull, between
+from sim.robot.shape import Hull, between, hull_of
 from sim2real.arrays import Array
+from sim2real.robot import Robot
 
 if TYPE_CHECKING:
     from sim.robot.swimmer import Swimmer
@@ -35,6 +35,7 @@ def plane_of(swimmer: Swimmer, environment: int = 0) -> Plane:
     velocity = swimmer.fluid.moments()[1][e, :, :, min(int(bodies.middle), nz - 1)]
     spin = _curl(velocity.astype(np.float64))
     time = float(bodies.motion.clock.numpy()[e])
+    q = np.array(bodies.motion.q.numpy()[e])
     drift = swimmer.current[e] * time  # the box moves with the pool's water
     origin = np.array(bodies.grid.origin) + drift
     if tank.sponge:
@@ -52,20 +53,20 @@ def plane_of(swimmer: Swimmer, environment: int = 0) -> Plane:
         cell=cell,
         centre=(float(centre[0]), float(centre[1])),
         size=(size[0] * cell, size[1] * cell),
-        links=front_ends(bodies.chain, bodies.motion, drift, e),
+        links=front_ends(swimmer.robot, q + np.pad(drift, (0, q.size - 2))),
         time=time,
     )
 
 
-def front_ends(chain: Chain, motion: Motion, drift: Array, environment: int) -> Array:
-    """Front end and heading of each link, shape (L, 3), in water that moved by ``drift`` (2,)."""
-    e = environment
-    arrays: Any = motion.link, chain.com, chain.side
-    pose, com, side = (np.array(array.numpy()[e], dtype=np.float64) for array in arrays)
-    forward = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=1)
-    lateral = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
-    pose[:, :2] += drift + com[:, None] * forward - side[:, None] * lateral
-    return pose
+def front_ends(robot: Robot, q: Array) -> Array:
+    """Front end and heading of each link, (L, 3), from the head's pose and angles, (3 + J,)."""
+    hull, head = hull_of(robot), robot.links[0]
+    com = head.length_m / 2 if head.com_m is None else head.com_m
+    heading = q[2] + np.cumsum([0.0, *q[3:]])
+    forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    first = q[:2] + (com - hull.half_width[0, 0]) * forward[0]  # the axis begins behind the nose
+    back = np.cumsum(hull.length[:-1, None] * forward[:-1], axis=0)
+    return np.column_stack([first - np.vstack([np.zeros(2), back]), heading])
 
 
 def depth(hull: Hull, links: Array, x: Array, y: Array) -> Array:

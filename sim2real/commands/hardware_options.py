@@ -26,8 +26,9 @@ signal SIGNAL: steps, sine, square, chirp, multisine, or a file of commands (COM
 --inertia LIST: inertia of the load on each joint, kg m2
 --medium air|water = air: what the robot moves in
 --source TEXT: source of the recording, stored with it
---amplitude X: amplitude, rad (default: 3/4 of what the limits allow)
---frequency X = 1.0: frequency of sine and square, Hz
+--amplitude X: amplitude, rad (default: 0.52 for sine and square, as in the paper, 3/4 of what the
+    limits allow for others)
+--frequency X: frequency of sine and square, Hz (default: 1 for sine, 0.5 for square)
 --band X*2 = 0.1,2.0: lowest and highest frequency of chirp and multisine, Hz
 --dry-run: show the signal and move nothing
 --plot PNG: plot of the signal to write

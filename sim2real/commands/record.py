@@ -101,14 +101,20 @@ def _signal(options: argparse.Namespace, joints: Sequence[Joint]) -> Excitation:
         return played(path, joints, rate_hz=RATE_HZ)
     if options.amplitude is not None and not options.amplitude > 0:
         raise InputError("--amplitude", "", f"{options.amplitude:g} rad", "more than 0 rad")
+    # the defaults of sine and square are those of the paper's calibration, Fig. 3
+    amplitude, frequency = {"sine": (0.52, 1.0), "square": (0.52, 0.5)}.get(
+        options.signal, (None, 1.0)
+    )
     return excitation(
         options.signal,
         joints,
         seconds=options.seconds,
         rate_hz=RATE_HZ,
         rng=np.random.default_rng(options.seed),
-        amplitude_rad=options.amplitude,
-        shape=Shape(options.frequency, tuple(options.band)),
+        amplitude_rad=amplitude if options.amplitude is None else options.amplitude,
+        shape=Shape(
+            frequency if options.frequency is None else options.frequency, tuple(options.band)
+        ),
     )
 
 

@@ -3,6 +3,7 @@
 import argparse
 import json
 import pickle
+import shutil
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,9 @@ from sim2real.errors import InputError
 pytest.importorskip("torch", reason="the extra 'rl' is not installed")
 
 from rl.commands.options import COMMANDS
+from rl.commands.reproduce import RESULTS
 from rl.experiments.ablation import ARMS
+from rl.sac.checkpoint import COLUMNS
 from rl.sac.plan import RECIPES
 from rl.task import TASKS, shortened
 
@@ -41,6 +44,34 @@ def test_a_policy_is_trained_and_evaluated(tmp_path, capsys, monkeypatch):
     assert results["pnl"]["success"] == 1.0, "proportional navigation makes the turn in the twin"
     assert results[str(policy)]["episodes"] == 3
     assert plot.stat().st_size > 5000
+
+
+def test_what_the_paper_shows_is_one_command(tmp_path, capsys, monkeypatch):
+    """Each result has its figure and its numbers; kept policies are stages before the last."""
+    agent, out = tmp_path / "run" / "policy-0", tmp_path / "out"
+    agent.mkdir(parents=True)
+    for stage, source in (("policy-900.npz", "no-servo-0"), ("policy.npz", "all-0")):
+        shutil.copy(POOL / "agents" / "ablation" / source / "policy.npz", agent / stage)
+    rows = [f"{k},70,{k / 100},0.5,90,0,0,0,0" for k in range(100, 1800, 100)]
+    (agent / "progress.csv").write_text("\n".join([",".join(COLUMNS), *rows]) + "\n")
+    for name, task in TASKS.items():
+        monkeypatch.setitem(TASKS, name, shortened(task, 60))
+    monkeypatch.chdir(POOL.parents[1])
+    call = ["reproduce", *RESULTS, "--run", str(agent.parent), "--out", str(out), "--episodes", "2"]
+    assert main(call) == 0
+    results = json.loads((out / "results.json").read_text())
+    assert list(results["stages"]) == ["A", "B"]
+    assert results["stages"]["A"] != results["stages"]["B"]
+    assert list(results["pentagram"]) == ["policy-0", "pnl", "adrc", "discrete-cpg"]
+    assert 0 < results["turn"]["apart_m"] < 0.2, "of the same policy from the same start"
+    assert results["calibration"]["sine"]["joint 1 (rad)"] < 0.05
+    for name in (*RESULTS, "pentagram-bars"):
+        assert (out / f"{name}.png").stat().st_size > 5000
+    assert (out / "turn.mp4").exists()
+    assert "SHA-256" in (out / "index.html").read_text()
+    capsys.readouterr()
+    assert main([*call[:-4], "--out", str(out), "--run", str(tmp_path / "none")]) == 2
+    assert "no progress.csv" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
