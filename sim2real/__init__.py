@@ -84,5 +84,12 @@ class _Package(ModuleType):
 
 
 sys.modules[__name__].__class__ = _Package
-if "gymnasium" in sys.modules:  # so that gymnasium.make("sim2real:sim2real/Fish-v0") finds it
-    importlib.import_module("rl")
+
+
+def _register() -> None:
+    """Register the environment where Gymnasium imports this module to find it."""
+    if "gymnasium" in sys.modules:
+        importlib.import_module("rl")
+
+
+_register()

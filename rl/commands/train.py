@@ -57,24 +57,26 @@ def run(options: argparse.Namespace) -> int:
             f"return {progress['mean_return'][ended[-1]]:.2f}" if ended.size else "no episode ended"
         )
         print(f"{folder / 'policy.zip'}: {int(progress['steps'][-1])} steps, {outcome}")
-    return 0 if not options.trials or select(options, folders, arguments.get("task")) else 1
+    return 0 if not options.trials or select(options, folders, arguments) else 1
 
 
 def select(
-    options: argparse.Namespace, folders: list[Path], task: str | None, learned: float = 0.5
+    options: argparse.Namespace, folders: list[Path], trained: dict[str, Any], learned: float = 0.5
 ) -> bool:
     """Choose each agent's price and then the best agent by held-out trials: ``trials.json``.
 
-    False if even the best reaches less than the share ``learned`` of its targets. Agents trained on
-    ``near`` are tested on it, others on turns and all distances.
+    ``trained`` are the training's arguments; agents trained on ``near`` are tested on it, others on
+    turns and all distances. False if even the best reaches less than the share ``learned`` of its
+    targets.
     """
     ranges = None if options.ranges is None else read_ranges(options.ranges)
     settings = SimulationSettings(options.fidelity, options.device, options.threads, options.cell_m)
     files = read_robot(options.robot), read_model(options.model), ranges
     swims = DrawnTrials(*files, options.trials, settings)
     prices = choose_prices(swims, folders)
-    energy = options.energy_weight or RECIPES[options.recipe or "default"].task.energy
-    tasks = ("near",) if task == "near" else HELD_OUT
+    recipe = RECIPES[options.recipe or "default"]
+    energy = trained.get("energy_weight") or recipe.task.energy
+    tasks = ("near",) if trained.get("task") == "near" else HELD_OUT
     trials = held_out(swims, folders, energy, tasks)
     write_json(options.out / "trials.json", {**trials, "prices": prices})
     for agent, rows in trials["agents"].items():

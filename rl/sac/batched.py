@@ -77,7 +77,9 @@ class Layers:
                 return d
             d = torch.bmm(d, self.weights[k])
             if k > 0:
-                d = torch.ops.aten.threshold_backward(d, activations.layers[k], 0.0)
+                torch.ops.aten.threshold_backward.grad_input(  # in place
+                    d, activations.layers[k], 0.0, grad_input=d
+                )
                 if self.norm:
                     unnormalised, mean, scale = activations.sums[k - 1]
                     d = torch.ops.aten.native_layer_norm_backward(
