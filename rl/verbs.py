@@ -27,7 +27,7 @@ def forecast(
     *,
     diagnosis: File | None = None,
     recordings: Recorded = (),
-    task: Literal["point", "near", "mixed", "chain", "turn", "pentagram"] = "turn",
+    task: Literal["point", "near", "mixed", "chain", "turn", "zones", "pentagram"] = "turn",
     seconds: float | None = None,
     trials: File | None = None,
     limit: Sequence[str] = (),

@@ -85,7 +85,7 @@ results learning-curves|stages|calibration|turn|pentagram+: figures of the paper
 --run FOLDER = datasets/pool/agents/ablation: a training (sim2real train --seeds 3): its curves, the
     policies that it kept at stages, and the policy that turns
 --policies POLICY+: controllers of the pentagram, as of evaluate, and the policy that turns
-    (default: that of --run, pnl, adrc and a discrete CPG, datasets/pool/agents/discrete-cpg.zip)
+    (default: that of --run, pnl, adrc, and the discrete CPG in datasets/pool/agents/discrete-cpg)
 --swims SWIM+ = datasets/pool/sine.csv,datasets/pool/square.csv: recorded swims for calibration
 --reality FILE = datasets/pool/reality.json: where the turn and the pentagram are real: MODEL.json,
     or a Python file with a function make

@@ -199,7 +199,7 @@ RESULTS: dict[str, Callable[[argparse.Namespace, Fish], tuple[Section, Any]]] = 
     "turn": turn, "pentagram": pentagram,
 }  # fmt: skip
 """Results by name, in the paper's order."""
-_GAITS = Path("datasets/pool/agents/discrete-cpg.zip")
+_GAITS = Path("datasets/pool/agents/discrete-cpg/policy.zip")
 
 
 def _swims(

@@ -80,6 +80,7 @@ def bars_figure(figures: Mapping[str, Mapping[str, Array]]) -> Figure:
             mean, sd = np.mean(spent, axis=1), np.std(spent, axis=1)
             colours = [ACCENT, *[FAINT] * (len(spent) - 1)]
             axes.bar(list(figures), mean, 0.6, yerr=sd, color=colours, error_kw={"lw": 1})
+            axes.margins(x=0.08)
             axes.set_title(FIGURES[name].label)
     return figure
 
