@@ -478,7 +478,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             if not (options.out / "answers" / f"{g:02d}.json").exists():
                 (twin_group if options.twin else swim_group)(options, g)
     elif options.stage == "forecast":
-        folders = sorted((options.out / "inputs").iterdir())
+        # one of each water after the other, so that a part of them is of all waters
+        folders = sorted((options.out / "inputs").iterdir(), key=lambda one: one.name[::-1])
         work = partial(forecast_one, draws=options.draws, seconds=options.seconds)
         for told in spread(work, folders, options.processes, unit="reality", in_order=False):
             print(told, flush=True)
