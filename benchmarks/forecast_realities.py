@@ -45,6 +45,7 @@ from rl.experiments.reality import Starts, real_world
 from rl.experiments.statistics import expected
 from rl.experiments.testbeds import Controllers, SimulationSettings
 from rl.forecast.forecast import Forecast
+from rl.forecast.page import SEALED
 from rl.forecast.realities import (
     DEVIATIONS,
     TWIN_ERROR,
@@ -431,6 +432,14 @@ def summary(rows: dict[str, Sequence[float]]) -> dict[str, Any]:
     return out
 
 
+def state(of: str, realities: int, found: dict[str, Any]) -> None:
+    """State on the page of forecasts what their intervals were worth on a set."""
+    names = [f"{kind} {name}" for kind in ("mean", "next") for name in SCORED]
+    held = {name: found[f"full {name} held"] for name in names}
+    others = [entry for entry in json.loads(SEALED.read_text())["sets"] if entry["of"] != of]
+    write_json(SEALED, {"sets": [*others, {"of": of, "realities": realities, "held": held}]})
+
+
 def robust(errors: Array) -> tuple[float, float]:
     """Median of errors, and their standard deviation beyond the forecasts' own, shape (n, 2).
 
@@ -467,6 +476,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         __doc__, device="cpu", processes=1, seed=20261126, groups=4, in_group=25, cell_m=0.016,
         trials=(2, "of each policy in a reality"), seconds=(10.0, "longest trial"),
         known_s=(12.0, "length of the known swim"), draws=100,
+        state=("", "what the set is: its score is stated on the page of forecasts"),
     )  # fmt: skip
     parser.add_argument("--twin", action="store_true", help="swim in twins with laws of their own")
     parser.add_argument("stage", choices=("swim", "forecast", "score", "energy"))
@@ -484,7 +494,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for told in spread(work, folders, options.processes, unit="reality", in_order=False):
             print(told, flush=True)
     elif options.stage == "score":
-        write_json(options.out / "score.json", score(options.out))
+        found = score(options.out)
+        write_json(options.out / "score.json", found)
+        if options.state:
+            state(options.state, len([*answered(options.out)]), found)
     else:
         energy_error(options.out)
 

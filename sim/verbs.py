@@ -15,6 +15,7 @@ from sim2real.verbs import model_of, recordings_of, recordings_to_fit, robot_of
 if TYPE_CHECKING:
     from sim.inference.calibration import Calibration
     from sim.simulation import Simulated
+    from sim.twin.fit import FittedTwin
     from sim2real.design.plan import Design
     from sim2real.design.tell_apart import Request, RivalDesign
     from sim2real.diagnose.result import Diagnosis
@@ -152,6 +153,46 @@ def calibrate(
     calibrated = calibration.model
     notes = (*calibrated.notes, *(note for note in notes if note not in calibrated.notes))
     return replace(calibration, model=replace(calibrated, provenance=origin, notes=notes))
+
+
+def fit_twin(
+    robot: Robot | File,
+    model: Model | File,
+    *,
+    cell_m: float = 0.02,
+    device: str = "cpu",
+    seconds: float = 6.0,
+) -> FittedTwin:
+    """Fit the force law of the twin to a robot in the fluid, minutes on a CPU.
+
+    The robot swims 24 signals in the fluid; six of them are held out of the fit and scored.
+
+    Args:
+        robot: The robot (robot.toml).
+        model: Its servos (MODEL.json).
+        cell_m: Side of a cell of the fluid, in m.
+        device: Device that simulates the fluid, cpu or cuda:0.
+        seconds: Duration of each swim, s.
+
+    Raises:
+        InputError: If robot and model do not agree, or the fluid stops the robot.
+    """
+    from dataclasses import replace
+
+    from sim.twin import fit
+    from sim2real.output import provenance
+    from sim2real.progress import progress_bar
+
+    check_positive("fit-twin", "seconds", seconds)
+    check_positive("fit-twin", "cell_m", cell_m)
+    machine, servos = robot_of(robot), model_of(model)
+    check_joints(servos, machine)
+    with progress_bar("fluid") as progress:
+        swims = fit.swum(machine, servos, seconds, progress, cell_m=cell_m, device=device)
+    with progress_bar("fit") as progress:
+        found = fit.fit_twin(servos, swims, progress)
+    origin = provenance([robot, model], None)
+    return replace(found, model=replace(found.model, provenance=origin))
 
 
 def simulate(

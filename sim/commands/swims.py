@@ -1,4 +1,4 @@
-"""``sim2real simulate``, ``sim2real calibrate`` and ``sim2real design``."""
+"""``sim2real simulate``, ``calibrate``, ``fit-twin`` and ``design``."""
 
 from __future__ import annotations
 
@@ -59,6 +59,16 @@ def calibrate(options: argparse.Namespace) -> int:
             for k, swim in enumerate(calibration.swims):
                 plot = beside(out, f"{out.stem}.{swim.name}.png")
                 print(f"plot: {save_png(calibration.plot(k), plot)}")
+    return 0
+
+
+def fit_twin(options: argparse.Namespace) -> int:
+    """Fit the twin's law, print errors and coefficients, write the model."""
+    out = check_writable(options.out)
+    fitted = verbs.fit_twin(**arguments_of(verbs.fit_twin, options))
+    write_model(fitted.model, out)
+    print(fitted)
+    print(f"\nmodel: {out}")
     return 0
 
 
