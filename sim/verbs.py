@@ -15,7 +15,6 @@ from sim2real.verbs import model_of, recordings_of, recordings_to_fit, robot_of
 if TYPE_CHECKING:
     from sim.inference.calibration import Calibration
     from sim.simulation import Simulated
-    from sim.twin.fit import FittedTwin
     from sim2real.design.plan import Design
     from sim2real.design.tell_apart import Request, RivalDesign
     from sim2real.diagnose.result import Diagnosis
@@ -162,10 +161,11 @@ def fit_twin(
     cell_m: float = 0.02,
     device: str = "cpu",
     seconds: float = 6.0,
-) -> FittedTwin:
+) -> Model:
     """Fit the force law of the twin to a robot in the fluid, minutes on a CPU.
 
-    The robot swims 24 signals in the fluid; six of them are held out of the fit and scored.
+    The robot swims 24 signals in the fluid; six of them are held out of the fit and scored. The
+    result is the model with the law in its body and, in ``fit``, relative errors of the twin.
 
     Args:
         robot: The robot (robot.toml).
@@ -191,8 +191,7 @@ def fit_twin(
         swims = fit.swum(machine, servos, seconds, progress, cell_m=cell_m, device=device)
     with progress_bar("fit") as progress:
         found = fit.fit_twin(servos, swims, progress)
-    origin = provenance([robot, model], None)
-    return replace(found, model=replace(found.model, provenance=origin))
+    return replace(found, provenance=provenance([robot, model], None))
 
 
 def simulate(

@@ -63,12 +63,16 @@ def calibrate(options: argparse.Namespace) -> int:
 
 
 def fit_twin(options: argparse.Namespace) -> int:
-    """Fit the twin's law, print errors and coefficients, write the model."""
+    """Fit the twin's law, print its errors, write the model."""
     out = check_writable(options.out)
     fitted = verbs.fit_twin(**arguments_of(verbs.fit_twin, options))
-    write_model(fitted.model, out)
-    print(fitted)
-    print(f"\nmodel: {out}")
+    write_model(fitted, out)
+    for name in ("surge", "sway", "yaw_rate"):
+        held, fish = (100 * (fitted.fit[f"twin.{name}"][k] or 0) for k in ("heldout", "fish"))
+        print(
+            f"{name}: error in swims held out {held:.1f} %, of the shipped fish's law {fish:.1f} %"
+        )
+    print(f"model: {out}")
     return 0
 
 

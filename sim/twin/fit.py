@@ -7,7 +7,7 @@ Some swims are held out of the fit and scored.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -17,12 +17,9 @@ from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim.twin.law import FITTED, Coefficients, links_of
 from sim.twin.twin import Twin
 from sim2real.arrays import Array, Index
-from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.progress import Progress
-from sim2real.report.notebook import result_section
-from sim2real.report.page import Section, Table
 from sim2real.robot import Robot
 from sim2real.velocity import body_velocity
 
@@ -71,7 +68,6 @@ STARTS = (
     Coefficients(4.0, 1.0, 1.0, 0.3, 1.0, 2.0, 0.5, 0.3, 0.5, 1.0, 1.0, 0.5),
     Coefficients(2.0, 0.3, 0.8, 0.8, 0.3, 2.0, 0.8, 0.1, 0.2, 2.0, 1.0, 0.2),
 )
-_SIGNALS = ("surge", "sway", "yaw rate")
 
 
 def set_points(robot: Robot, names: Sequence[str], seconds: float) -> Array:
@@ -188,43 +184,25 @@ def swum(
     return Swims(hull_alone(robot), bare, names, tracks)
 
 
-@dataclass(frozen=True)
-class FittedTwin(NotebookDisplay):
-    """A law of the twin that was fitted to the fluid."""
+def fit_twin(model: Model, swims: Swims, progress: Progress) -> Model:
+    """The model with the law of the best fit from ``STARTS``; ``fit`` has the relative errors.
 
-    model: Model  # the model, with the law in its body
-    # by name of a swim the relative errors of surge, sway and yaw rate of the law that was fitted
-    # to the shipped fish, and of the fitted law, shape (2, 3)
-    errors: Mapping[str, Array]
-
-    def __str__(self) -> str:
-        """The table of errors."""
-        return super().__str__()
-
-
-def fit_twin(model: Model, swims: Swims, progress: Progress) -> FittedTwin:
-    """Fit the law to swims, except those held out, from each start; the best fit is taken."""
-    seen, found = np.flatnonzero([name not in HELD_OUT for name in swims.names]), []
+    The errors of surge, sway and yaw rate are root mean squares over the swims, ``train`` and
+    ``heldout``, and ``fish`` over those held out by the law of the shipped fish.
+    """
+    held, found = np.array([name in HELD_OUT for name in swims.names]), []
     for k, start in enumerate(STARTS):
-        found.append(swims.fitted(seen, start))
+        found.append(swims.fitted(np.flatnonzero(~held), start))
         progress((k + 1) / len(STARTS))
     law = law_of(min(found, key=lambda one: one.cost).x)
-    both = np.stack([swims.errors(one)[:, :3] for one in (FITTED, law)], axis=1)
+    fish, own = (np.square(swims.errors(one)) for one in (FITTED, law))
+    parts = {"train": own[~held], "heldout": own[held], "fish": fish[held]}
+    errors = {name: np.sqrt(part.mean(axis=0)) for name, part in parts.items()}
+    fit = {
+        f"twin.{name}": {part: float(x[k]) for part, x in errors.items()}
+        for k, name in enumerate(("surge", "sway", "yaw_rate"))
+    }
     body = {**model.body, "twin": vars(law), "twin_links": links_of(swims.robot)}
     for stale in ("posterior", "interval"):  # of another law
         body.pop(stale, None)
-    return FittedTwin(replace(model, body=body), dict(zip(swims.names, both, strict=True)))
-
-
-@result_section.register
-def _fitted_twin(fitted: FittedTwin) -> Section:
-    rows = []
-    for name in HELD_OUT:
-        before, after = fitted.errors[name]
-        pairs = zip(before, after, strict=True)
-        rows.append((name, *(f"{100 * b:.1f} %, {100 * a:.1f} %" for b, a in pairs)))
-    caption = "Root mean square errors relative to the fluid's own root mean square: law of the "
-    caption += "shipped fish, fitted law. Swims that the fit did not see."
-    law = [(name, f"{value:.3g}") for name, value in fitted.model.body["twin"].items()]
-    tables = [Table(("swim", *_SIGNALS), rows, caption), Table(("coefficient", "fitted"), law)]
-    return Section("The twin's law", "", tables)
+    return replace(model, body=body, fit={**model.fit, **fit})
