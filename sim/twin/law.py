@@ -99,8 +99,8 @@ def warn_unless_fitted(robot: Robot, body: Mapping[str, Any]) -> None:
     pairs = [(np.array(links.get(name, ())), np.array(sizes)) for name, sizes in own.items()]
     if not all(a.shape == b.shape and np.allclose(a, b, rtol=0.05) for a, b in pairs):
         warnings.warn(
-            f"the twin's force law was not fitted to {robot.name}, which may swim tens of percent "
-            "too far; sim2real fit-twin fits it",
+            f"the twin's force law was not fitted to {robot.name}, whose speeds may be off by tens "
+            "of percent; sim2real fit-twin fits it",
             stacklevel=3,
         )
 
