@@ -9,6 +9,9 @@ Realities are those of ``datasets/pool``: fluid in cells of its own with another
 servos, skins and faults written apart from the library's laws. Of each, a swim of twelve seconds
 and bench values that are off by up to 5 % are known (``inputs``); the trials of the policies are in
 ``answers``, whose hashes are printed before anything is forecast, and which only ``score`` reads.
+With ``swim --twin`` (minutes on a CPU) realities are twins with laws of their own, errors of the
+twin as large as a forecast takes them to be, and the library's effects: the intervals then show
+whether diagnosis, calibration and draws are as certain as they say, not whether the twin is right.
 Each reality is diagnosed and calibrated in the twin, and forecast twice: from all that is
 known, and from hand-set ranges (Lin, Liu, Wang 2024, Table II: latency and noise). All stages
 resume; after a change of the forecast only ``forecasts/*.npz`` are to be removed.
@@ -42,21 +45,27 @@ from rl.experiments.reality import Starts, real_world
 from rl.experiments.statistics import expected
 from rl.experiments.testbeds import Controllers, SimulationSettings
 from rl.forecast.forecast import Forecast
+from rl.forecast.page import SEALED
 from rl.forecast.realities import (
     DEVIATIONS,
     TWIN_ERROR,
+    Realities,
     draw_realities,
     read_diagnosed,
     residuals_of,
 )
 from rl.forecast.swims import Forecaster
 from rl.forecast.trials import OBSERVED, Trials
-from rl.make import with_density
+from rl.make import noise_of, with_density
 from rl.sac.plan import RECIPES
 from rl.task import CONTROL_S, TASKS, Task
+from sim.inference.law_error import LAW_ERROR
+from sim.inference.swims import by_twin, with_values
+from sim.twin.law import FITTED
 from sim.verbs import calibrate, diagnose
 from sim2real.arrays import Array
 from sim2real.diagnose.result import write_diagnosis
+from sim2real.effects import BODY
 from sim2real.model import JointModel, Model, read_model, write_model
 from sim2real.output import write_json
 from sim2real.posterior.posteriors import JointSample
@@ -74,6 +83,8 @@ POLICIES = [
 FIRST = 0
 """The policy with more trials, for the update."""
 Add = Callable[[str, float], None]
+LAW_SD = 0.15
+"""Standard deviation of the logarithm of the coefficients of a water, with ``--twin``."""
 SCORED = ("time_s", "energy", "success")
 
 
@@ -146,15 +157,7 @@ def swim_group(options: argparse.Namespace, g: int) -> None:
         rows = zip(*(benches[r][n] for n in ("kp", "kd", "latency")), strict=True)
         servos = {n: JointModel(*row, 0.002) for n, row in zip(names, rows, strict=True)}
         write_model(Model(servos), folder / "bench.json")
-        columns = dict(
-            zip(("body.x_m", "body.y_m", "body.yaw_rad"), np.array(pose)[:, r].T, strict=True)
-        )
-        recording = Recording(
-            name="known", kind="pool", joints=names, t=CONTROL_S * np.arange(len(command)),
-            command=command[:, r], position=np.array(angle)[:, r], columns=columns, medium="water",
-            source="Simulated, not measured: benchmarks/forecast_realities.py. MIT licence.",
-        )  # fmt: skip
-        write_recording(recording, folder / "known.csv")
+        _write_known(folder, names, command[:, r], np.array(pose)[:, r], np.array(angle)[:, r])
     # the same starts for all policies, and four more of the first policy
     task, T = task_of(options.seconds), options.trials
     who = np.array([*np.repeat(np.arange(P), T), *[FIRST] * 4])
@@ -173,12 +176,94 @@ def swim_group(options: argparse.Namespace, g: int) -> None:
     episodes = run_episodes(seen, steering, name="reality")
     figures = {name: x.reshape(R, len(who)) for name, x in measured(episodes, task).items()}
     stopped = world.stopped().reshape(R, len(who))
-    answers = options.out / "answers" / f"{g:02d}.json"
     content = {name: x.tolist() for name, x in figures.items()}
     effects = [truth.effects for truth in truths]
     about = {"who": who.tolist(), "stopped": stopped.tolist(), "lost": lost.tolist()}
-    write_json(answers, {**content, **about, "effects": effects, "water": vars(water)})
-    print(g, hashlib.sha256(answers.read_bytes()).hexdigest(), int(stopped.sum()), flush=True)
+    _seal(options.out, g, {**content, **about, "effects": effects, "water": vars(water)})
+
+
+def _write_known(
+    folder: Path, names: Sequence[str], command: Array, pose: Array, angle: Array
+) -> None:
+    """Write the swim that is known of a reality: set-points (T, J), poses (T, 3), angles (T, J)."""
+    columns = dict(zip(("body.x_m", "body.y_m", "body.yaw_rad"), pose.T, strict=True))
+    recording = Recording(
+        name="known", kind="pool", joints=tuple(names), t=CONTROL_S * np.arange(len(command)),
+        command=command, position=angle, columns=columns, medium="water",
+        source="Simulated, not measured: benchmarks/forecast_realities.py. MIT licence.",
+    )  # fmt: skip
+    write_recording(recording, folder / "known.csv")
+
+
+def _seal(out: Path, g: int, content: dict[str, Any]) -> None:
+    """Write the answers of a group and print their hash."""
+    answers = write_json(out / "answers" / f"{g:02d}.json", content)
+    stopped = int(np.sum(content["stopped"]))
+    print(g, hashlib.sha256(answers.read_bytes()).hexdigest(), stopped, flush=True)
+
+
+def _of_library(effects: dict[str, dict[str, float]], joints: Sequence[str]) -> dict[str, float]:
+    """Concealed effects that the library has too, by the names of its values; others are left."""
+    known, out = {effect.name for effect in BODY}, {}
+    for name, values in effects.items():
+        for key, x in values.items():
+            if name.partition(".")[0] in known:
+                out[f"{name}.{key}"] = float(x)
+            elif name == "coulomb_friction":  # of one joint, or the same of all
+                joint, _, parameter = key.rpartition(".")
+                for each in [joint] if joint else joints:
+                    out[f"{each}.{name}.{parameter}"] = float(x)
+    return out
+
+
+def twin_group(options: argparse.Namespace, g: int) -> None:
+    """The known swims and the trials of one group of realities that are twins of one water."""
+    from camera import filmed, reported
+    from drawn import command_of
+
+    rng, robot = np.random.default_rng([options.seed, g]), read_robot(POOL / "robot.toml")
+    R, J, names = options.in_group, len(robot.joints), [joint.name for joint in robot.joints]
+    water = {f"twin.{k}": v * np.exp(rng.normal(0, LAW_SD)) for k, v in vars(FITTED).items()}
+    models, effects = [], []
+    for r in range(R):
+        truth, bench = concealed(rng)
+        inside = _of_library(truth.effects, names)
+        servos, known = (
+            {
+                n: JointModel(*row, 0.002)
+                for n, row in zip(names, zip(*rows, strict=True), strict=True)
+            }
+            for rows in ((truth.kp, truth.kd, truth.latency), bench.values())
+        )
+        models.append(with_values(with_density(Model(servos), robot), {**water, **inside}))
+        effects.append(inside)
+        folder = options.out / "inputs" / f"{g:02d}-{r:02d}"
+        write_model(Model(known), folder / "bench.json")
+        command = command_of(rng, J, CONTROL_S, options.known_s)
+        start = np.array([*rng.uniform(-0.5, 0.5, 2), rng.uniform(-3, 3)])
+        track = by_twin(robot)([models[-1]], command, start)[0]
+        _write_known(folder, names, command, filmed(track[:, :3], rng), reported(track[:, 3:], rng))
+    law = rng.standard_normal((R, 4)) * [*LAW_ERROR.shares[(0, 1, 2), (0, 1, 0)], 0.0]
+    energy = json.loads(TWIN_ERROR.read_text())["energy"]
+    law[:, 3] = np.expm1(rng.normal(energy["mean"], energy["sd"], R))
+    noise = noise_of(known_of(read_model(folder / "bench.json"), rng)[0], names)
+    real = Realities(tuple(models), noise, (), np.zeros((R, 0)), law, np.zeros(3 + J))
+    task, T = task_of(options.seconds), options.trials
+    controllers = named_controllers(POLICIES, robot)
+    first = dict([list(controllers.items())[FIRST]])
+    simulation = SimulationSettings(at_once=R, threads=1)
+    parts = [
+        Forecaster(robot, task, real, n, options.seed + k, simulation).swim(some)
+        for k, (some, n) in enumerate(((controllers, T), (first, 4)))
+    ]
+    figures = {
+        name: np.concatenate([np.moveaxis(p[name], 0, 1).reshape(R, -1) for p in parts], axis=1)
+        for name in FIGURES
+    }
+    who = [*np.repeat(np.arange(len(POLICIES)), T).tolist(), *[FIRST] * 4]
+    still = np.zeros((R, len(who)), bool).tolist()
+    about = {"who": who, "stopped": still, "effects": effects, "water": water}
+    _seal(options.out, g, {**{name: x.tolist() for name, x in figures.items()}, **about})
 
 
 def known_of(bench: Model, rng: np.random.Generator) -> tuple[Ranges, JointSample]:
@@ -347,6 +432,14 @@ def summary(rows: dict[str, Sequence[float]]) -> dict[str, Any]:
     return out
 
 
+def state(of: str, realities: int, found: dict[str, Any]) -> None:
+    """State on the page of forecasts what their intervals were worth on a set."""
+    names = [f"{kind} {name}" for kind in ("mean", "next") for name in SCORED]
+    held = {name: found[f"full {name} held"] for name in names}
+    others = [entry for entry in json.loads(SEALED.read_text())["sets"] if entry["of"] != of]
+    write_json(SEALED, {"sets": [*others, {"of": of, "realities": realities, "held": held}]})
+
+
 def robust(errors: Array) -> tuple[float, float]:
     """Median of errors, and their standard deviation beyond the forecasts' own, shape (n, 2).
 
@@ -383,7 +476,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         __doc__, device="cpu", processes=1, seed=20261126, groups=4, in_group=25, cell_m=0.016,
         trials=(2, "of each policy in a reality"), seconds=(10.0, "longest trial"),
         known_s=(12.0, "length of the known swim"), draws=100,
+        state=("", "what the set is: its score is stated on the page of forecasts"),
     )  # fmt: skip
+    parser.add_argument("--twin", action="store_true", help="swim in twins with laws of their own")
     parser.add_argument("stage", choices=("swim", "forecast", "score", "energy"))
     parser.add_argument("out", type=Path)
     options = parser.parse_args(arguments)
@@ -391,14 +486,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.path.insert(0, str(POOL))
         for g in range(options.groups):
             if not (options.out / "answers" / f"{g:02d}.json").exists():
-                swim_group(options, g)
+                (twin_group if options.twin else swim_group)(options, g)
     elif options.stage == "forecast":
-        folders = sorted((options.out / "inputs").iterdir())
+        # one of each water after the other, so that a part of them is of all waters
+        folders = sorted((options.out / "inputs").iterdir(), key=lambda one: one.name[::-1])
         work = partial(forecast_one, draws=options.draws, seconds=options.seconds)
         for told in spread(work, folders, options.processes, unit="reality", in_order=False):
             print(told, flush=True)
     elif options.stage == "score":
-        write_json(options.out / "score.json", score(options.out))
+        found = score(options.out)
+        write_json(options.out / "score.json", found)
+        if options.state:
+            state(options.state, len([*answered(options.out)]), found)
     else:
         energy_error(options.out)
 

@@ -86,6 +86,7 @@ def forecast(
     from rl.forecast.trials import read_trials
     from rl.sac.plan import RECIPES
     from rl.task import CONTROL_S, TASKS
+    from sim2real.ranges.entry import read_ranges
 
     check_choice("forecast", "task", task, TASKS)
     check_choice("forecast", "rank_by", rank_by, FIGURES)
@@ -103,7 +104,9 @@ def forecast(
     residuals = residuals_of(swims, known, fish)
     drawn = read_realities(fish, known, Path(ranges), realities, seed, diagnosed)
     files = [path for name in names if (path := Path(with_price(name)[0])).exists()]
-    origin = provenance([robot, model, ranges, diagnosis, trials, *swims, *files], seed)
+    sampled = Path(ranges).with_name(read_ranges(ranges).posterior)
+    inputs = [robot, model, ranges, sampled, diagnosis, trials, *swims, *files]
+    origin = provenance(inputs, seed)
     learned = [origin["inputs"][str(path)] for path in files]
     settings = SimulationSettings(fidelity, device, threads, cell_m)
     key = repr((drawn.digest(residuals), learned, fish, task, steps, settings))
@@ -126,8 +129,10 @@ def forecast(
 
 
 def _notes(model: Model, disturbed: bool) -> tuple[str, ...]:
+    from sim.twin.law import is_calibrated
+
     notes = []
-    if "twin" not in model.body:
+    if not is_calibrated(model.body):
         notes.append("the body is not calibrated: its law is as uncertain as that of any robot")
     elif not {"posterior", "interval"} & model.body.keys():
         notes.append("the body's calibration states no uncertainty: it counts as exact")

@@ -154,6 +154,46 @@ def calibrate(
     return replace(calibration, model=replace(calibrated, provenance=origin, notes=notes))
 
 
+def fit_twin(
+    robot: Robot | File,
+    model: Model | File,
+    *,
+    cell_m: float = 0.02,
+    device: str = "cpu",
+    seconds: float = 6.0,
+) -> Model:
+    """Fit the force law of the twin to a robot in the fluid, minutes on a CPU.
+
+    The robot swims 24 signals in the fluid; six of them are held out of the fit and scored. The
+    result is the model with the law in its body and, in ``fit``, relative errors of the twin.
+
+    Args:
+        robot: The robot (robot.toml).
+        model: Its servos (MODEL.json).
+        cell_m: Side of a cell of the fluid, in m.
+        device: Device that simulates the fluid, cpu or cuda:0.
+        seconds: Duration of each swim, s.
+
+    Raises:
+        InputError: If robot and model do not agree, or the fluid stops the robot.
+    """
+    from dataclasses import replace
+
+    from sim.twin import fit
+    from sim2real.output import provenance
+    from sim2real.progress import progress_bar
+
+    check_positive("fit-twin", "seconds", seconds)
+    check_positive("fit-twin", "cell_m", cell_m)
+    machine, servos = robot_of(robot), model_of(model)
+    check_joints(servos, machine)
+    with progress_bar("fluid") as progress:
+        swims = fit.swum(machine, servos, seconds, progress, cell_m=cell_m, device=device)
+    with progress_bar("fit") as progress:
+        found = fit.fit_twin(servos, swims, progress)
+    return replace(found, provenance=provenance([robot, model], None))
+
+
 def simulate(
     recordings: Recorded,
     robot: Robot | File,

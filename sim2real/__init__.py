@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from sim.verbs import calibrate as calibrate
     from sim.verbs import design as design  # type: ignore[no-redef]
     from sim.verbs import diagnose as diagnose
+    from sim.verbs import fit_twin as fit_twin
     from sim.verbs import simulate as simulate
     from sim2real.check import check as check
     from sim2real.errors import InputError as InputError
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
 _NAMES = {
     "rl.verbs": ("forecast",),
-    "sim.verbs": ("calibrate", "design", "diagnose", "simulate"),
+    "sim.verbs": ("calibrate", "design", "diagnose", "fit_twin", "simulate"),
     "sim2real.check": ("check",),
     "sim2real.errors": ("InputError",),
     "sim2real.model": ("Model", "read_model", "write_model"),
@@ -54,7 +55,7 @@ _NAMES = {
     "sim2real.version": ("__version__",),
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
-"""Module of each name. Five verbs need the fluid or policies, in the packages ``sim`` and ``rl``
+"""Module of each name. Six verbs need the fluid or policies, in the packages ``sim`` and ``rl``
 above; they are imported when a program uses them. Besides the command line, only this module
 imports upwards."""
 

@@ -33,6 +33,7 @@ COMMANDS = {
     "design": (_WATER, "design the commands to record next, which tell most"),
     "density": (_SERVOS, "compute the normalised density of each link of a robot"),
     "calibrate": (_WATER, "fit body and fluid parameters to recorded swims"),
+    "fit-twin": (_WATER, "fit the force law of the twin to a robot in the fluid"),
     "ranges": (_SERVOS, "derive randomization ranges from recordings and sample the posterior"),
     "simulate": (_WATER, "simulate a swim in the lattice-Boltzmann fluid"),
     "train": (

@@ -214,6 +214,9 @@ def _read_body(fields: Fields) -> Mapping[str, Any]:
         if name in fields:
             low = 0.0 if name.endswith("_sd") else math.ulp(0.0)
             fields.numbers(name, "a list of numbers, one for each link", low=low)
+    links = fields.table("twin_links")
+    for name in links.content:
+        links.numbers(name, "a list of sizes in m, one for each link", low=0.0)
     interval = fields.table("interval")
     for name in interval.content:
         _read_interval(interval, name)

@@ -96,12 +96,17 @@ def quantiles(values: Array, weights: Array, levels: Array) -> Array:
 
 
 def interval(values: Array, weights: Array, trials: float = np.inf) -> tuple[float, float, float]:
-    """Mean and central 90 % interval of trials, which contains it; ``weights`` (N,) have sum 1."""
-    drawn = means(values, trials)
-    low, high = quantiles(drawn, weights, np.array([0.05, 0.95]))
-    mean = float(weights @ expected(values))
-    ends = (low, high) if np.isfinite(trials) else (min(low, mean), max(high, mean))
-    return mean, float(ends[0]), float(ends[1])
+    """Mean and central 90 % interval of the mean of trials; ``weights`` (N,) have sum 1.
+
+    It contains the mean and the interval of the mean of very many trials.
+    """
+    mean, levels = float(weights @ expected(values)), np.array([0.05, 0.95])
+    ends = [quantiles(means(values, n), weights, levels) for n in {trials, np.inf}]
+    return (
+        mean,
+        min(mean, *(float(low) for low, _ in ends)),
+        max(mean, *(float(x[1]) for x in ends)),
+    )
 
 
 def best(scores: Array, weights: Array) -> Array:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from rl.experiments.ablation_report import picture
@@ -10,11 +12,29 @@ from rl.experiments.episodes import FIGURES
 from rl.forecast.forecast import Forecast
 from sim2real.report.notebook import result_section
 from sim2real.report.page import Block, Note, Section, Table, Text, write_page
+from sim2real.structured import read_json
 
 _PATHS = (
     "The first trial in twenty realities, with the start at the right and the target at the left; "
     "grey where it is not reached."
 )
+
+
+SEALED = Path(__file__).with_name("sealed.json")
+"""Results of 90 % intervals on sets of realities, by ``benchmarks/forecast_realities.py``."""
+
+
+def worth(sealed: Mapping[str, Any]) -> str:
+    """What intervals of forecasts have been worth on sets of simulated realities."""
+    parts = []
+    for entry in sealed["sets"]:
+        held = [100 * entry["held"][name] for name in ("mean time_s", "mean energy")]
+        held += [100 * entry["held"][name] for name in ("next time_s", "next energy")]
+        parts.append(
+            "of {} {} they contained the mean time in {:.0f} %, the mean energy in {:.0f} %, the "
+            "next trial's in {:.0f} and {:.0f} %".format(entry["realities"], entry["of"], *held)
+        )
+    return f"What 90 % intervals have been worth: {'; '.join(parts)}. No real robot is among them."
 
 
 @result_section.register
@@ -47,6 +67,7 @@ def sections(forecast: Forecast, *, plots: bool = True) -> list[Section]:
         for policy in forecast.policies
         for limit in forecast.limits
     ]
+    blocks.append(Note("info", worth(read_json(SEALED))))
     blocks += [Note("warn", note) for note in forecast.notes]
     if forecast.update is not None:
         kind: Any = "warn" if forecast.update.contradicted else "good"

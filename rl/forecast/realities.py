@@ -19,6 +19,7 @@ from rl.make import draw_models, noise_of, numbers_of, parameters_of
 from rl.world import Noise
 from sim.inference.law_error import LAW_ERROR
 from sim.inference.swims import by_twin, simulated, swim_of, with_values
+from sim.twin.law import is_calibrated
 from sim2real.arrays import Array
 from sim2real.body import values
 from sim2real.diagnose.rival_sets import SCHEMA, JointRivals, RivalSet, read_rival_sets
@@ -69,7 +70,7 @@ class Diagnosed:
             if joint.component in joints:
                 joints[joint.component] = _servo(joints[joint.component], joint, rng)
         body = values(model)
-        calibrated = "twin" in model.body
+        calibrated = is_calibrated(model.body)
         for one in self.possible:
             present = rng.random() < one.probability
             drawn = one.drawn(rng)
@@ -215,7 +216,7 @@ def draw_realities(
         models = [diagnosed.drawn(one, rng) for one in models]
     models = _with_bodies(models, model, rng)
     law = np.zeros((n, 4))
-    if "twin" in model.body:
+    if is_calibrated(model.body):
         # the mean speed and turn are slow; sway is zero on average, what matters of it is its beat
         law[:, :3] = rng.standard_normal((n, 3)) * LAW_ERROR.shares[(0, 1, 2), (0, 1, 0)]
         energy = read_json(TWIN_ERROR)["energy"]
@@ -251,12 +252,13 @@ def _with_bodies(models: Sequence[Model], model: Model, rng: np.random.Generator
         covariance = np.array(posterior["covariance"])[np.ix_(own, own)] * _overfit(model)
         drawn = rng.multivariate_normal(mean, covariance, size=len(models))
     else:
-        if "twin" in model.body:
+        if is_calibrated(model.body):
             intervals = model.body.get("interval", {})
             ends = {k: v for k, v in intervals.items() if k.startswith("twin.")}
             spread = {k: (np.mean(v), np.ptp(v) / (2 * _NORMAL_90)) for k, v in ends.items()}
         else:
-            spread = {k: (v, LAW_ERROR.unknown[k]) for k, v in LAW_ERROR.usual.items()
+            own = {f"twin.{k}": v for k, v in model.body.get("twin", {}).items()}
+            spread = {k: (own.get(k, v), LAW_ERROR.unknown[k]) for k, v in LAW_ERROR.usual.items()
                       if k in LAW_ERROR.unknown}  # fmt: skip
         names = list(spread)
         mean, sd = np.array(list(spread.values()), dtype=np.float64).reshape(-1, 2).T

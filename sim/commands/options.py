@@ -11,6 +11,10 @@ _CALIBRATE = """
 --out MODEL!: model to write (MODEL.json)
 --no-plots: do not plot the fit (MODEL.RECORDING.png)
 """
+_FIT_TWIN = """
+robot TOML: the robot (robot.toml)
+--out MODEL!: model to write, with the law in its body (MODEL.json)
+"""
 _SIMULATE = """
 model MODEL: servos and body (MODEL.json)
 recordings CSV: recording or table of commands (t_s, J.command_rad)
@@ -34,6 +38,11 @@ COMMANDS = commands(
             f"{_SWIMS}:simulate",
             [_SIMULATE, VIEWS, verbs.simulate],
             "model.json wave.csv --robot fish.toml --out swim.csv",
+        ),
+        "fit-twin": (
+            f"{_SWIMS}:fit_twin",
+            [_FIT_TWIN, verbs.fit_twin],
+            "robot.toml --model model.json --out fitted.json",
         ),
         "calibrate": (
             f"{_SWIMS}:calibrate",

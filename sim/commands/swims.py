@@ -1,4 +1,4 @@
-"""``sim2real simulate``, ``sim2real calibrate`` and ``sim2real design``."""
+"""``sim2real simulate``, ``calibrate``, ``fit-twin`` and ``design``."""
 
 from __future__ import annotations
 
@@ -59,6 +59,20 @@ def calibrate(options: argparse.Namespace) -> int:
             for k, swim in enumerate(calibration.swims):
                 plot = beside(out, f"{out.stem}.{swim.name}.png")
                 print(f"plot: {save_png(calibration.plot(k), plot)}")
+    return 0
+
+
+def fit_twin(options: argparse.Namespace) -> int:
+    """Fit the twin's law, print its errors, write the model."""
+    out = check_writable(options.out)
+    fitted = verbs.fit_twin(**arguments_of(verbs.fit_twin, options))
+    write_model(fitted, out)
+    for name in ("surge", "sway", "yaw_rate"):
+        held, fish = (100 * (fitted.fit[f"twin.{name}"][k] or 0) for k in ("heldout", "fish"))
+        print(
+            f"{name}: error in swims held out {held:.1f} %, of the shipped fish's law {fish:.1f} %"
+        )
+    print(f"model: {out}")
     return 0
 
 

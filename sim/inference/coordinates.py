@@ -96,7 +96,8 @@ def servo_parameters(model: Model, robot: Robot, *, gains: bool = False) -> list
 def twin_parameters(model: Model, robot: Robot, *, gains: bool = False) -> list[Parameter]:
     """Parameters of a calibration in the twin: its law, the appendages' areas, the servos."""
     servos = servo_parameters(model, robot, gains=gains)
-    return [*law_parameters(), *appendage_parameters(robot), *servos]
+    law = Coefficients.of(model.body) if "twin_links" in model.body else FITTED
+    return [*law_parameters(law), *appendage_parameters(robot), *servos]
 
 
 def appendage_parameters(robot: Robot) -> list[Parameter]:

@@ -5,6 +5,7 @@ Of a floating robot only the submerged part counts, as if it were mirrored in th
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from sim.lattice.velocities import WATER_KG_M3
 from sim.robot.shape import Hull, between
 from sim2real.arrays import Array
 from sim2real.errors import InputError, one_of
+from sim2real.robot import Robot
 from sim2real.structured import read_json
 
 POINTS = 3
@@ -71,8 +73,36 @@ class Coefficients:
 FIRST = frozenset(("across", "along", "added_mass", "thrust", "linear"))
 """Coefficients of the first version of the law."""
 FILE = Path(__file__).with_name("fitted.json")
-FITTED = Coefficients(**read_json(FILE))
+_FITTED = read_json(FILE)
+FITTED_LINKS = _FITTED.pop("links_m")
+"""Sizes of the links that it was fitted to, of ``datasets/pool``."""
+FITTED = Coefficients(**_FITTED)
 """Fitted to the fluid in cells of 1 cm by ``benchmarks/twin_fit.py``: ``reports/twin``."""
+
+
+def links_of(robot: Robot) -> dict[str, list[float]]:
+    """Sizes of the links in m, which a law is fitted to in the fluid."""
+    names = ("length_m", "width_m", "height_m")
+    return {name: [float(getattr(link, name)) for link in robot.links] for name in names}
+
+
+def is_calibrated(body: Mapping[str, Any]) -> bool:
+    """Whether recorded swims, and not only the fluid, determine a body's law."""
+    stated = {"posterior", "interval"} & body.keys()
+    return "twin" in body and bool(stated or "twin_links" not in body)
+
+
+def warn_unless_fitted(robot: Robot, body: Mapping[str, Any]) -> None:
+    """Warn if a body's law was fitted to the fluid for links of other sizes, by more than 5 %."""
+    own = links_of(robot)
+    links = body.get("twin_links", own if "twin" in body else FITTED_LINKS)
+    pairs = [(np.array(links.get(name, ())), np.array(sizes)) for name, sizes in own.items()]
+    if not all(a.shape == b.shape and np.allclose(a, b, rtol=0.05) for a, b in pairs):
+        warnings.warn(
+            f"the twin's force law was not fitted to {robot.name}, whose speeds may be off by tens "
+            "of percent; sim2real fit-twin fits it",
+            stacklevel=3,
+        )
 
 
 def law_rows(

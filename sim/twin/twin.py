@@ -20,7 +20,7 @@ from sim.robot.rows import Rows, chain_rows, change_rows, make_chain, masses, se
 from sim.robot.shape import submerged
 from sim.robot.swimmer import CONTROL_S
 from sim.twin.kernel import Water, start_twin, swim_twin
-from sim.twin.law import POINTS, Coefficients, law_rows
+from sim.twin.law import POINTS, Coefficients, law_rows, warn_unless_fitted
 from sim2real.arrays import Array, Index, Mask
 from sim2real.model import Model
 from sim2real.robot import Robot
@@ -45,8 +45,9 @@ class Twin(Robots):
         """Create ``n_envs`` robots, straight, at rest, at the origin, heading along x.
 
         ``model`` has servos and body, one for all or one for each robot; the coefficients of the
-        force law are those in ``body.twin``, or those fitted to the fluid. ``device`` is a Warp
-        device, ``substeps`` are sub-steps per control period, ``threads`` those of a CPU.
+        force law are those in ``body.twin``, or those of the shipped fish; a law that was fitted to
+        the fluid for other links is warned of. ``device`` is a Warp device, ``substeps`` are
+        sub-steps per control period, ``threads`` those of a CPU.
 
         Raises:
             InputError: If robot and model do not agree.
@@ -55,6 +56,7 @@ class Twin(Robots):
         self.device: Any = wp.get_device(device)
         self.hull, _, self.surface_m = submerged(robot, False, np.inf)
         models, effects = self._take(model)
+        warn_unless_fitted(robot, models[0].body)
         E, L, J = n_envs, len(robot.links), len(robot.joints)
         rows, law = self._rows(models, effects)
         limits = np.array([joint.limits_rad for joint in robot.joints])

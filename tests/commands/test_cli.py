@@ -279,7 +279,7 @@ VERBS = {
     name: getattr(module, name)
     for module, names in (
         (sim2real.verbs, ("identify", "density", "posterior", "ranges", "predict")),
-        (sim.verbs, ("diagnose", "design", "calibrate", "simulate")),
+        (sim.verbs, ("diagnose", "design", "calibrate", "fit_twin", "simulate")),
     )
     for name in names
 }
@@ -299,7 +299,7 @@ def test_every_argument_of_a_verb_is_described(name):
 
 @pytest.mark.parametrize("name", [name for name in VERBS if name not in ("posterior", "predict")])
 def test_a_command_takes_what_its_verb_takes(name):
-    options = options_of(name)
+    options = options_of(name.replace("_", "-"))
     for argument, parameter in inspect.signature(VERBS[name]).parameters.items():
         if argument in SET_BY_THE_COMMAND.get(name, ()):
             continue

@@ -105,6 +105,7 @@ def test_rare_failures_leave_the_share_that_arrives_uncertain():
         for known in (even(200), weights):
             mean, low, high = interval(values, known)
             assert low <= mean <= high <= 1 and mean < 1
+            assert interval(values, known, 1)[1] <= low, "a trial is no better known than the mean"
     assert interval(np.ones((200, 2)), even(200))[1] == pytest.approx(0.9952, abs=1e-4), "Jeffreys"
     chance = expected((np.random.default_rng(0).random((3000, 2)) < 0.5).astype(float))
     assert abs(chance.mean() - 0.5) < 0.02 and chance.std() < 0.2
@@ -369,7 +370,9 @@ def test_the_command_writes_forecast_and_page_and_trials_update_it(files, capsys
     assert energy["mean_90"][0] < energy["mean"] < energy["mean_90"][1]
     assert content["policies"]["pnl"]["limits"] == {"time_s<=6@0.9": pytest.approx(1, abs=0.2)}
     assert np.isclose(sum(x["best"] for x in content["ranking"]), 1)
+    assert str(files.folder / "posterior.npz") in content["provenance"]["inputs"]
     page = (files.folder / "forecast.html").read_text()
+    assert "intervals have been worth" in page
     assert "What to measure next" in page and "Which policy" in page
     likely = [x["best"] for x in content["ranking"]]
     assert likely == sorted(likely, reverse=True) and len(likely) == 2
