@@ -49,10 +49,11 @@ class Possible:
         servo = self.effect in {effect.name for effect in CATALOGUE}
         known: Sequence[Any] = CATALOGUE if servo else BODY
         bounds = {p.name: p for p in find(known, self.effect, "diagnosis").parameters}
-        return {
-            k: float(np.clip(rng.normal(mean, self.sd[k]), bounds[k].low, bounds[k].high))
-            for k, mean in self.mean.items()
-        }
+        out = {}
+        for k, mean in self.mean.items():
+            limit = bounds[k.rpartition(".")[2]]  # swims state a size for each joint, j1.torque_Nm
+            out[k] = float(np.clip(rng.normal(mean, self.sd[k]), limit.low, limit.high))
+        return out
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,9 @@ class Diagnosed:
                 # what the supply or the link does, it does to all joints
                 for name in [one.component] if one.component in joints else list(joints):
                     others = tuple(e for e in joints[name].effects if e.effect != one.effect)
-                    extra = (FittedEffect(one.effect, drawn),) if present else ()
+                    parts = ((k.rpartition("."), x) for k, x in drawn.items())
+                    own = {k: x for (joint, _, k), x in parts if joint in ("", name)}
+                    extra = (FittedEffect(one.effect, own),) if present and own else ()
                     joints[name] = replace(joints[name], effects=others + extra)
             else:
                 effect = find(BODY, one.effect, "diagnosis")

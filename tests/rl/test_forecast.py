@@ -193,6 +193,16 @@ def test_the_next_training_draws_what_matters_from_the_realities(robot, model):
     assert 1.0 <= low < 1.4 and 2.6 < high <= 3.0, "what is advised can be drawn in training"
 
 
+def test_an_effect_that_a_swim_showed_in_all_servos_is_drawn_for_each(model):
+    sizes = {"j1.torque_Nm": 0.02, "j2.torque_Nm": 0.05}
+    one = Possible("coulomb_friction", "servos", 1.0, sizes, dict.fromkeys(sizes, 0.0))
+    drawn = Diagnosed((), (one,), {}).drawn(model, np.random.default_rng(0))
+    found = {name: joint.effects for name, joint in drawn.joints.items() if joint.effects}
+    assert {n: dict(e[0].parameters) for n, e in found.items()} == {
+        "j1": {"torque_Nm": 0.02}, "j2": {"torque_Nm": 0.05}
+    }  # fmt: skip
+
+
 def test_the_best_policy_is_that_of_the_same_realities():
     values, _ = plant(np.random.default_rng(5), 500, 2, 5.0, 1.0)
     scores = np.stack([values, values + 0.3, values - 5])
