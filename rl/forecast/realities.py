@@ -260,8 +260,8 @@ def _with_bodies(models: Sequence[Model], model: Model, rng: np.random.Generator
             ends = {k: v for k, v in intervals.items() if k.startswith("twin.")}
             spread = {k: (np.mean(v), np.ptp(v) / (2 * _NORMAL_90)) for k, v in ends.items()}
         else:
-            own = {f"twin.{k}": v for k, v in model.body.get("twin", {}).items()}
-            spread = {k: (own.get(k, v), LAW_ERROR.unknown[k]) for k, v in LAW_ERROR.usual.items()
+            fitted = {f"twin.{k}": v for k, v in model.body.get("twin", {}).items()}
+            spread = {k: (fitted.get(k, v), LAW_ERROR.unknown[k]) for k, v in LAW_ERROR.usual.items()
                       if k in LAW_ERROR.unknown}  # fmt: skip
         names = list(spread)
         mean, sd = np.array(list(spread.values()), dtype=np.float64).reshape(-1, 2).T

@@ -107,7 +107,7 @@ class Swims:
     @property
     def rms(self) -> Array:
         """Its root mean square, shape (E, 3 + J)."""
-        return np.sqrt(np.mean(self.truth**2, axis=1))
+        return np.asarray(np.sqrt(np.mean(self.truth**2, axis=1)))
 
     def by_twin(self, laws: Sequence[Coefficients], which: Index) -> Array:
         """What the twin shows under each law, shape (laws, which, T, 3 + J)."""
@@ -138,9 +138,11 @@ class Swims:
 
         low, high = np.log([_BOUNDS.get(name, (1e-3, 100.0)) for name in NAMES]).T
         x0 = np.clip(np.log([max(getattr(start, name), 1e-9) for name in NAMES]), low, high)
-        return least_squares(
-            lambda x: errors(x[None])[0], x0, slope, bounds=(low, high), max_nfev=40, ftol=1e-5
-        )
+
+        def residual(x: Array) -> Array:
+            return np.asarray(errors(x[None])[0])
+
+        return least_squares(residual, x0, slope, bounds=(low, high), max_nfev=40, ftol=1e-5)
 
 
 def shown(track: Array) -> Array:
@@ -171,8 +173,9 @@ def swum(
     body = {k: model.body[k] for k in ("normalised_density",) if k in model.body}
     bare, names = replace(model, body=body), tuple(WAVES)
     sent, track = set_points(robot, names, seconds), []
-    options = {"n_envs": len(sent), "cell_m": cell_m, "device": device, "threads": threads}
-    swimmer = Swimmer(hull_alone(robot), bare, **options)
+    swimmer = Swimmer(
+        hull_alone(robot), bare, n_envs=len(sent), cell_m=cell_m, device=device, threads=threads
+    )
     for k in range(sent.shape[1]):
         swimmer.step(sent[:, k])
         track.append(swimmer.track())
