@@ -261,8 +261,8 @@ def _with_bodies(models: Sequence[Model], model: Model, rng: np.random.Generator
             spread = {k: (np.mean(v), np.ptp(v) / (2 * _NORMAL_90)) for k, v in ends.items()}
         else:
             fitted = {f"twin.{k}": v for k, v in model.body.get("twin", {}).items()}
-            spread = {k: (fitted.get(k, v), LAW_ERROR.unknown[k]) for k, v in LAW_ERROR.usual.items()
-                      if k in LAW_ERROR.unknown}  # fmt: skip
+            usual, unknown = LAW_ERROR.usual.items(), LAW_ERROR.unknown
+            spread = {k: (fitted.get(k, v), unknown[k]) for k, v in usual if k in unknown}
         names = list(spread)
         mean, sd = np.array(list(spread.values()), dtype=np.float64).reshape(-1, 2).T
         drawn = mean + sd * rng.standard_normal((len(models), len(names)))
