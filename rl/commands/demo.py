@@ -187,14 +187,14 @@ def _note(options: argparse.Namespace) -> Note:
     when = (
         "in this run"
         if options.train
-        else "beforehand, by “sim2real demo --train”, and ship with the data; this run evaluates "
+        else "beforehand, by “sim2real ablate --quick”, and ship with the data; this run evaluates "
         "them in simulation, with its own calibration, and in reality"
     )
     return Note(
         "info",
         f"The agents were trained {when}. "
-        "The agents of a seed start from one shipped with the data, trained with servos and "
-        "densities half way between the calibrated ones and those of the old simulator, and train "
+        "The agents of a seed start from one shipped with the data, trained with no technique "
+        "(servos and density of FishGym, no randomization), and train "
         f"for {demo_pool.QUICK.steps} steps in the simulator of their arm: pairs differ only by "
         "their arms. A difference whose interval excludes zero is significant. The reality is here "
         "the twin with other parameters, friction, play and a skin, as a surrogate with its own "

@@ -47,8 +47,8 @@ _ABLATE = """
 --enriched FILE: model with diagnosed effects (MODEL.json), for the arm full-and-effects
 --truth FILE: true parameters (MODEL.json), for the arm ceiling (default: --reality, if a model)
 --out FOLDER!: folder of the run
---arms full|no-servo|no-density|no-randomization|full-and-effects|ceiling|none|midway+: arms to
-    compare (default: the paper's four, the first four; with --enriched also full-and-effects)
+--arms full|no-servo|no-density|no-randomization|full-and-effects|ceiling|none+: arms to compare
+    (default: the paper's four, the first four; with --enriched also full-and-effects)
 --seeds N = 5: random seeds, each one agent, of each arm
 --repeats N = 5: episodes that each agent is tested on
 --reality-cell-m X: cell of the fluid in the reality, m (default: half of that in training, or as

@@ -61,13 +61,11 @@ ARMS: Mapping[str, Techniques] = {
     "full-and-effects": Techniques("all, and the effects found", effects=True),
     "ceiling": Techniques("trained in reality itself"),
     "none": Techniques("no technique", servo=False, density=False, randomization=False),
-    "midway": Techniques("half way from no technique"),
 }
 """The four arms of the paper; "full-and-effects", with diagnosed effects; "ceiling", trained with
-the true parameters of the reality where they are known: an upper bound; "none"; and "midway", whose
-servos and densities lie half way between those of "full" and "none". Training of the other arms can
-continue from agents of "midway": the time to learn swimming, which differs by chance, is then not
-part of the comparison."""
+the true parameters of the reality where they are known: an upper bound; and "none". Training of the
+other arms can continue from agents of "none", which met no technique that an arm lacks: the time to
+learn swimming, which differs by chance, is then not part of the comparison."""
 PAPER = ("full", "no-servo", "no-density", "no-randomization")
 
 
@@ -100,13 +98,6 @@ def arm_of(
 ) -> Arm:
     """An arm of ``ARMS`` to train, without the ranges of techniques that it does not use."""
     techniques = ARMS[name]
-    if name == "midway":
-        drawn, old = (
-            arm_of("full", model, robot, ranges).draws,
-            model_of(ARMS["none"], model, robot),
-        )
-        models = tuple(half_way(m, old) for m in drawn.models)
-        return Arm(name, replace(drawn, models=models))
     if name == "ceiling":
         assert reality is not None, "the caller has looked"
         noise = noise_of(ranges, [joint.name for joint in robot.joints])
@@ -124,23 +115,6 @@ def arm_of(
 
     entries = tuple(entry for entry in ranges.entries if used(entry.parameter))
     return Arm(name, draws_of(arm_model, replace(ranges, entries=entries), robot, seed=0))
-
-
-def half_way(first: Model, second: Model) -> Model:
-    """Mean of two models: geometric for gains, arithmetic for latencies and densities."""
-    joints = {}
-    for name, a in first.joints.items():
-        b = second.joints[name]
-        joints[name] = replace(
-            a,
-            kp_Nm_per_rad=(a.kp_Nm_per_rad * b.kp_Nm_per_rad) ** 0.5,
-            kd_Nms_per_rad=(a.kd_Nms_per_rad * b.kd_Nms_per_rad) ** 0.5,
-            latency_s=(a.latency_s + b.latency_s) / 2,
-        )
-    density = np.mean([m.body["normalised_density"] for m in (first, second)], axis=0)
-    return replace(
-        first, joints=joints, body={**first.body, "normalised_density": density.tolist()}
-    )
 
 
 def ablate(

@@ -72,5 +72,5 @@ def test_the_shipped_agents_are_those_of_the_demos_plan():
     assert sum(file.stat().st_size for file in folder.rglob("*.*")) < 2_000_000
     made = listing["provenance"]["inputs"]
     assert {Path(name).name for name in made} == {
-        "robot.toml", "model.json", "p1.csv", *(path.name for path in agents_in(POOL)),
+        "robot.toml", "calibrated.json", "ranges.json", *(path.name for path in agents_in(POOL)),
     }  # fmt: skip
