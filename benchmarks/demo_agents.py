@@ -1,15 +1,16 @@
-"""Ship the agents that a ``sim2real demo --train`` has trained with the data.
+"""Ship the agents of a quick ablation with the data, for ``sim2real demo``.
 
-    sim2real demo --train --out build/demo          # some minutes of two cores
-    python -m benchmarks.demo_agents build/demo     # [--out datasets/pool/agents/ablation]
+    cd datasets/pool
+    sim2real ablate --robot robot.toml --model calibrated.json --ranges ranges.json \
+        --reality reality.json --quick --first agents/none-*.zip --repeats 12 --out RUN
+    python -m benchmarks.demo_agents RUN    # [--out datasets/pool/agents/ablation]
 
-Keeps the policy of each of the ablation's agents, the calibrated model and the ranges that they
-were trained for, the plan, and the SHA-256 of all these files and of the inputs.
+Keeps the policy of each agent, the calibrated model and the ranges that they were trained for, the
+plan, and the SHA-256 of all these files and of the inputs.
 """
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -17,12 +18,13 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import ROOT, command_line
-from rl.commands.demo_pool import PRETRAINED, QUICK, SEEDS, SWIM, agents_in
+from rl.commands.demo_pool import PRETRAINED, QUICK, SEEDS, agents_in
 from rl.deploy.policy import npz
 from rl.experiments.ablation import LISTING, PAPER, policy_in
 from rl.sac.plan import Plan
 from sim2real.errors import InputError
 from sim2real.output import provenance, sha256_of, write_json, write_whole
+from sim2real.structured import read_json
 
 POOL = ROOT / "datasets" / "pool"
 
@@ -31,13 +33,9 @@ def main() -> None:
     """Collect, check, keep."""
     options = command_line(__doc__, "run", out=POOL / PRETRAINED).parse_args()
     plan = replace(QUICK, seeds=tuple(range(SEEDS)))
-    agents = trained(options.run / "trained" / "train", plan)
-    inputs = [POOL / "robot.toml", POOL / "model.json", POOL / f"{SWIM}.csv"]
-    made = provenance([*inputs, *agents_in(POOL)], None)
-    files = {
-        "model.json": options.run / "calibrated.json",
-        "ranges.json": options.run / "ranges.json",
-    }
+    agents = trained(options.run / "train", plan)
+    files = {"model.json": POOL / "calibrated.json", "ranges.json": POOL / "ranges.json"}
+    made = provenance([POOL / "robot.toml", *files.values(), *agents_in(POOL)], None)
     listing = write_pretrained(options.out, agents, plan, files, made)
     print(f"{listing}: {len(agents)} agents")
 
@@ -62,24 +60,19 @@ def write_pretrained(
 
 
 def trained(folder: Path, plan: Plan) -> list[Path]:
-    """The agents of a training in two parts: all seeds of the first arm, then those of the next.
+    """The agents of a training: all seeds of the first arm, then those of the next.
 
     Raises:
         InputError: If the training is none, of another plan, or not finished.
     """
-    for run in sorted(folder.glob("part-*/run.json")):
-        told = json.loads(run.read_text())["plan"]
-        if told != replace(plan, seeds=tuple(told["seeds"])).content():
-            raise InputError(run, "plan", "another plan", "that of today's sim2real demo --train")
-    return [one_of(folder, f"{arm}-{seed}") for arm in PAPER for seed in plan.seeds]
-
-
-def one_of(folder: Path, name: str) -> Path:
-    """The folder of one agent, in any part."""
-    found: Sequence[Path] = sorted(folder.glob(f"part-*/{name}/policy.zip"))
-    if len(found) != 1:
-        raise InputError(folder, name, f"{len(found)} policies", "one policy.zip in its parts")
-    return found[0].parent
+    run = folder / "run.json"
+    if read_json(run)["plan"] != plan.content():
+        raise InputError(run, "plan", "another plan", "that of today's sim2real demo --train")
+    agents = [folder / f"{arm}-{seed}" for arm in PAPER for seed in plan.seeds]
+    for agent in agents:
+        if not (agent / "policy.zip").exists():
+            raise InputError(agent, "", "no policy.zip", "a training that is finished")
+    return agents
 
 
 if __name__ == "__main__":

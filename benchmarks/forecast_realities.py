@@ -77,7 +77,8 @@ POOL = ROOT / "datasets" / "pool"
 AGENTS = POOL / "agents" / "ablation"
 POLICIES = [
     *(str(AGENTS / name / "policy.npz") for name in (
-        "all-0", "all-1", "no-servo-0", "no-density-0", "no-randomization-0", "no-randomization-1",
+        "full-0", "full-1", "no-servo-0", "no-density-0", "no-randomization-0",
+        "no-randomization-1",
     )), "pnl", "adrc",
 ]  # fmt: skip
 FIRST = 0

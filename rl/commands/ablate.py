@@ -10,8 +10,8 @@ from typing import Any
 
 import torch
 
-from rl.experiments.ablation import ARMS, ablate, arm_of
-from rl.experiments.ablation_report import markdown, write_report
+from rl.experiments.ablation import PAPER, ablate, arm_of
+from rl.experiments.ablation_report import default_values, markdown, write_report
 from rl.experiments.reality import RealityFile, read_reality
 from rl.experiments.testbeds import SimulationSettings, Testbed, real, simulated
 from rl.make import noise_of
@@ -48,8 +48,8 @@ def run(options: argparse.Namespace) -> int:
     if options.truth is None and not isinstance(reality, Model):
         missing["ceiling"] = "--reality or --truth MODEL.json"
     if options.enriched is None:
-        missing["all-and-effects"] = "--enriched MODEL with it"
-    names = options.arms or [name for name in ARMS if name not in {*missing, "none", "midway"}]
+        missing["full-and-effects"] = "--enriched MODEL with it"
+    names = options.arms or [x for x in (*PAPER, "full-and-effects") if x not in missing]
     for name in names:
         if name in missing:
             raise InputError("ablate", "--arms", name, missing[name])
@@ -68,7 +68,8 @@ def run(options: argparse.Namespace) -> int:
         options.out, robot, names, agents, plan, testbeds, repeats=options.repeats,
         seed=options.seed,
     )  # fmt: skip
-    write_report(results, plan, options.out, note)
+    values = default_values(read_model(options.model), robot)
+    write_report(results, plan, options.out, note, values)
     print(markdown(results))
     print(f"report: {options.out / 'index.html'}")
     return 0

@@ -17,7 +17,14 @@ import numpy as np
 import torch
 
 from rl.commands import demo_pool
-from rl.experiments.ablation_report import markdown, sections, write_report
+from rl.experiments.ablation import LISTING
+from rl.experiments.ablation_report import (
+    default_values,
+    footer_of,
+    markdown,
+    sections,
+    write_report,
+)
 from rl.experiments.episodes import run_episodes
 from rl.experiments.film import Film
 from rl.experiments.named import controller_of
@@ -37,7 +44,7 @@ from sim2real.diagnose.result import Diagnosis, percent, write_diagnosis
 from sim2real.errors import InputError
 from sim2real.identification.identify import identify
 from sim2real.model import Model, write_model
-from sim2real.output import check_writable
+from sim2real.output import check_writable, provenance
 from sim2real.ranges.entry import write_ranges
 from sim2real.recording import Recording, read_recording
 from sim2real.report.diagnosis import diagnosis_section
@@ -69,8 +76,11 @@ def run(options: argparse.Namespace) -> int:
         work = (options.pool, out, options.seed, not options.train)
         pool = second_process.submit(demo_pool.stages, *work)
         bench, model, servos = _bench(options, robot, recordings, checks)
-        swam, results, body = _pool(options, out, pool.result())
-    table = sections(results, demo_pool.QUICK)
+        found = pool.result()
+    note = _provenance(options, model)
+    values = default_values(found.calibration.model, found.calibration.robot)
+    swam, results, body = _pool(options, out, found, note, values)
+    table = sections(results, demo_pool.QUICK, values)
     ablation = Section("A quick ablation", table[0].lead, [
         _note(options), *(block for one in table[:-1] for block in one.blocks),
     ])  # fmt: skip
@@ -81,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
             robot.name,
             f"{len(model.joints)} servos identified, a body calibrated, techniques compared",
             [_summary(model, servos, body, ablation.lead, film), *bench, *swam, ablation],
-            model.provenance,
+            footer_of(results, note),
         )
     print(f"\n{model}")
     print(f"\nreport: {page}")
@@ -120,8 +130,23 @@ def _bench(
     return [*made, diagnosis_section(diagnosis)], model, diagnosis
 
 
+def _provenance(options: argparse.Namespace, model: Model) -> dict[str, Any]:
+    """That of the model of the servos, with the files of the pool."""
+    pool = options.pool
+    files = [
+        pool / x for x in ("robot.toml", "model.json", f"{demo_pool.SWIM}.csv", "reality.json")
+    ]
+    agents = demo_pool.agents_in(pool) if options.train else [pool / demo_pool.PRETRAINED / LISTING]
+    more = provenance([options.data / "robot.toml", *files, *agents], None)["inputs"]
+    return {**model.provenance, "inputs": {**model.provenance["inputs"], **more}}
+
+
 def _pool(
-    options: argparse.Namespace, out: Path, found: demo_pool.Pool
+    options: argparse.Namespace,
+    out: Path,
+    found: demo_pool.Pool,
+    note: dict[str, Any],
+    values: Table,
 ) -> tuple[list[Section], dict[str, Any], Diagnosis]:
     """A robot in a pool: its sections, the result of the ablation, the diagnosis of the swim."""
     missing, calibration, ranges = found.diagnosis, found.calibration, found.gathered.ranges
@@ -145,7 +170,7 @@ def _pool(
         ):
             work = options.pool, out, options.seed, calibration.model, ranges
             results = demo_pool.ablated(*work, pretrained=False)
-    write_report(results, plan, out, calibration.model.provenance)
+    write_report(results, plan, out, note, values)
     print(markdown(results))
     robot = calibration.robot
     swims = swims_section(missing, calibration.swims, by_followed_twin(robot), robot)
@@ -162,14 +187,14 @@ def _note(options: argparse.Namespace) -> Note:
     when = (
         "in this run"
         if options.train
-        else "beforehand, by “sim2real demo --train”, and ship with the data; this run evaluates "
+        else "beforehand, by “sim2real ablate --quick”, and ship with the data; this run evaluates "
         "them in simulation, with its own calibration, and in reality"
     )
     return Note(
         "info",
         f"The agents were trained {when}. "
-        "The agents of a seed start from one shipped with the data, trained with servos and "
-        "densities half way between the calibrated ones and those of the old simulator, and train "
+        "The agents of a seed start from one shipped with the data, trained with no technique "
+        "(servos and density of FishGym, no randomization), and train "
         f"for {demo_pool.QUICK.steps} steps in the simulator of their arm: pairs differ only by "
         "their arms. A difference whose interval excludes zero is significant. The reality is here "
         "the twin with other parameters, friction, play and a skin, as a surrogate with its own "
@@ -180,7 +205,7 @@ def _note(options: argparse.Namespace) -> Note:
 
 def _swim(results: dict[str, Any], options: argparse.Namespace, out: Path, model: Model) -> Section:
     """Film of the agent with all techniques that did best in simulation, in the fluid."""
-    candidates = [agent for agent in results["agents"] if agent["arm"] == "all"]
+    candidates = [agent for agent in results["agents"] if agent["arm"] == "full"]
     best = max(candidates, key=lambda agent: fmean(agent["simulation"]["return"]))["folder"]
     if options.train:
         (policy,) = (out / "train").glob(f"*/{best}/policy.zip")

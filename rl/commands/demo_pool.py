@@ -31,7 +31,7 @@ SWIM = "p1"
 """The swim of the pool that is diagnosed, calibrated and gives the ranges."""
 QUICK = plan_of({"recipe": "brief"}, fidelity="twin", threads=2)
 """Plan of the training of each arm, which continues from agents that all arms share."""
-SEEDS, REPEATS = 8, 12
+SEEDS, REPEATS = 5, 12
 PRETRAINED = Path("agents") / "ablation"
 """Folder of the pretrained agents of the ablation, relative to that of the pool."""
 
@@ -91,9 +91,9 @@ def ablated(
 
 
 def agents_in(folder: Path) -> list[Path]:
-    """The agents that arms start from, trained half way between no technique and all."""
+    """The agents that arms start from, trained with no technique."""
     files = sorted((folder / "agents").glob("*.zip"))
     if not files:
-        expected = "NAME.zip files, such as of the arm midway"
+        expected = "NAME.zip files, such as of the arm none"
         raise InputError(folder / "agents", "", "no agents", expected)
     return files

@@ -57,13 +57,13 @@ _TRAIN = """
 _ABLATE = """
 --reality FILE!: the reality that policies are tested in and never trained in: MODEL.json, or a
     Python file with a function make
---enriched FILE: model with diagnosed effects (MODEL.json), for the arm all-and-effects
+--enriched FILE: model with diagnosed effects (MODEL.json), for the arm full-and-effects
 --truth FILE: true parameters (MODEL.json), for the arm ceiling (default: --reality, if a model)
 --out FOLDER!: folder of the run
---arms all|no-servo|no-density|no-randomization|all-and-effects|ceiling|none|midway+: arms to
-    compare (default: all)
---seeds N = 6: random seeds, each one agent, of each arm
---repeats N = 10: episodes that each agent is tested on
+--arms full|no-servo|no-density|no-randomization|full-and-effects|ceiling|none+: arms to compare
+    (default: the paper's four, the first four; with --enriched also full-and-effects)
+--seeds N = 5: random seeds, each one agent, of each arm
+--repeats N = 5: episodes that each agent is tested on
 --reality-cell-m X: cell of the fluid in the reality, m (default: half of that in training, or as
     the Python file states)
 """
@@ -156,6 +156,9 @@ def _command(name: str, options: str, example: str) -> Command:
         if name == "forecast":
             add_verb(parser, verbs.forecast, positional=("policies",), leave_out=("kept",))
         add_options(parser, options.replace("\n\n", "\n"))
+        for action in parser._actions:
+            if action.dest == "arms":  # "all" is what earlier versions called the arm "full"
+                action.type = lambda arm: arm.replace("all", "full")
         if name in ("train", "ablate"):
             add_executor(parser, otherwise="all runs in one batch")
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from rl.deploy.export import read_zip
 from rl.deploy.policy import Policy, PolicyController, read_npz
-from rl.experiments.episodes import Episodes, measured
+from rl.experiments.episodes import Episodes, energy, measured
 from rl.experiments.testbeds import Controllers, Testbed, same_starts
 from rl.make import digest, draws_of, noise_of, with_density
 from rl.sac.plan import Arm, Plan
@@ -37,8 +37,9 @@ STIFF = JointModel(
     inertia_kgm2=0.002,
     effects=(FittedEffect("torque_saturation", {"limit_Nm": 2.0}),),
 )
-"""An uncalibrated servo. The old simulator drives joints by torque of at most 2 N m; the task
-commands angles, so the default is a stiff drive without latency, at its limit from 0.2 rad on."""
+"""An uncalibrated servo. FishGym drives the joints of its koi by torque, of at most 2 N m, without
+damping, friction or latency (github.com/dongfangliu/gym-fish, ``assets/agents/koi_all_fins.json``).
+The task commands angles, so the default is a stiff drive, at this limit from 0.2 rad on."""
 
 
 @dataclass(frozen=True)
@@ -53,21 +54,19 @@ class Techniques:
 
 
 ARMS: Mapping[str, Techniques] = {
-    "all": Techniques("all techniques"),
+    "full": Techniques("all techniques"),
     "no-servo": Techniques("no servo calibration", servo=False),
     "no-density": Techniques("no density calibration", density=False),
     "no-randomization": Techniques("no randomization", randomization=False),
-    "all-and-effects": Techniques("all, and the effects found", effects=True),
+    "full-and-effects": Techniques("all, and the effects found", effects=True),
     "ceiling": Techniques("trained in reality itself"),
     "none": Techniques("no technique", servo=False, density=False, randomization=False),
-    "midway": Techniques("half way from no technique"),
 }
-"""The four arms of the paper; "all-and-effects", with diagnosed effects; and "ceiling", trained
-with the true parameters of the reality where they are known: an upper bound. By default not run:
-"none", and "midway", whose servos and densities lie half way between those of "all" and "none".
-Training of the other arms can continue from agents of "midway": no arm is favoured by that start,
-and the time to learn swimming, which differs by chance, is not part of the comparison."""
-PAPER = ("all", "no-servo", "no-density", "no-randomization")
+"""The four arms of the paper; "full-and-effects", with diagnosed effects; "ceiling", trained with
+the true parameters of the reality where they are known: an upper bound; and "none". Training of the
+other arms can continue from agents of "none", which met no technique that an arm lacks: the time to
+learn swimming, which differs by chance, is then not part of the comparison."""
+PAPER = ("full", "no-servo", "no-density", "no-randomization")
 
 
 def one_density(robot: Robot) -> list[float]:
@@ -99,10 +98,6 @@ def arm_of(
 ) -> Arm:
     """An arm of ``ARMS`` to train, without the ranges of techniques that it does not use."""
     techniques = ARMS[name]
-    if name == "midway":
-        drawn, old = arm_of("all", model, robot, ranges).draws, model_of(ARMS["none"], model, robot)
-        models = tuple(half_way(m, old) for m in drawn.models)
-        return Arm(name, replace(drawn, models=models))
     if name == "ceiling":
         assert reality is not None, "the caller has looked"
         noise = noise_of(ranges, [joint.name for joint in robot.joints])
@@ -122,23 +117,6 @@ def arm_of(
     return Arm(name, draws_of(arm_model, replace(ranges, entries=entries), robot, seed=0))
 
 
-def half_way(first: Model, second: Model) -> Model:
-    """Mean of two models: geometric for gains, arithmetic for latencies and densities."""
-    joints = {}
-    for name, a in first.joints.items():
-        b = second.joints[name]
-        joints[name] = replace(
-            a,
-            kp_Nm_per_rad=(a.kp_Nm_per_rad * b.kp_Nm_per_rad) ** 0.5,
-            kd_Nms_per_rad=(a.kd_Nms_per_rad * b.kd_Nms_per_rad) ** 0.5,
-            latency_s=(a.latency_s + b.latency_s) / 2,
-        )
-    density = np.mean([m.body["normalised_density"] for m in (first, second)], axis=0)
-    return replace(
-        first, joints=joints, body={**first.body, "normalised_density": density.tolist()}
-    )
-
-
 def ablate(
     folder: Path,
     robot: Robot,
@@ -156,7 +134,8 @@ def ablate(
     ``agents`` are folders: all seeds of the first arm, then those of the next. ``repeats`` are
     episodes of each agent and testbed, with starts and noise by ``seed``, of at most ``longest``
     periods. The result has ``agents``: for each, its arm, seed and, by testbed, return (the rewards
-    discounted as in training), reward, success, time and energy of each repeat.
+    discounted as in training), reward, ``paper`` (the measure of the paper: the reward with its
+    weight of energy, 0.001), success, time and energy of each repeat.
     """
     turn = TASKS["turn"]
     task = replace(turn, energy=plan.task.energy, steps=longest or turn.steps)
@@ -165,8 +144,8 @@ def ablate(
     weights = weights_digest(agents)
     for testbed in testbeds:
         path = folder / f"{testbed.name}.json"
-        inputs = (weights, robot, testbed.key, task.energy, task.steps, repeats, seed, discount)
-        key = digest(inputs)
+        measures = (discount, task.energy, turn.energy)
+        key = digest((weights, robot, testbed.key, measures, task.steps, repeats, seed))
         result = read_json(path) if path.exists() else {}
         if result.get("key") != key:
             policies = [PolicyController(policy_in(agent)) for agent in agents]
@@ -205,9 +184,10 @@ def weights_digest(agents: Sequence[Path]) -> str:
 
 def as_json(episodes: Episodes, A: int, task: Task, discount: float) -> dict[str, Any]:
     """Episodes of A agents as JSON values; time and energy as in ``episodes.spent``."""
-    figures = measured(episodes, task)
+    figures, dearer = measured(episodes, task), TASKS["turn"].energy - task.energy
     columns = {
         "return": episodes.discounted(discount),
+        "paper": episodes.reward - dearer * energy(episodes.rate),
         **{name: figures[name] for name in ("reward", "time_s", "energy")},
         "faced_s": episodes.faced_s(),
     }
@@ -236,6 +216,8 @@ def read_pretrained(folder: Path, arms: Sequence[str]) -> tuple[list[Path], tupl
     listing = Fields(path, "", read_json(path))
     listed = listing.table("files").content
     seeds = listing.table("plan").numbers("seeds", "those of a training")
+    if not any(name.startswith("full-") for name in listed):
+        arms = [arm.replace("full", "all") for arm in arms]  # as earlier versions called it
     agents = [folder / f"{arm}-{seed:.0f}" for arm in arms for seed in seeds]
     for agent in agents:
         file = agent / "policy.npz"

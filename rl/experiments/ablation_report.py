@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 
-from rl.experiments.ablation import ARMS
+from rl.experiments.ablation import ARMS, PAPER, model_of
 from rl.experiments.paths import aligned, paths_figure
 from rl.experiments.statistics import OUTCOME, bootstrap, differences, seeds_needed
 from rl.sac.checkpoint import draw_curves
 from rl.sac.plan import Plan
+from sim2real.model import Model
 from sim2real.output import write_json, write_whole
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Note, Section, Table, Text, write_page
 from sim2real.report.page import Figure as Picture
 from sim2real.report.style import ACCENT, FAINT, INK, house_style, new_figure
+from sim2real.robot import Robot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,21 +29,38 @@ if TYPE_CHECKING:
 Results = Mapping[str, Any]
 
 _RETURNS = (
-    "Rewards discounted as in training: means with 90 % bootstrap intervals over agents and "
-    "repeats. Time, energy and reward are those in reality, "
-    "over all turns: a turn that does not arrive counts with the full duration of the task."
+    "Return: rewards discounted as in training. The paper's reward: undiscounted, with its weight "
+    "of energy, 0.001. Both are means with 90 % bootstrap intervals over agents and repeats. Time "
+    "and energy are those in reality, over all turns: a turn that does not arrive counts with the "
+    "full duration of the task."
 )
 _DIFFERENCES = (
-    "Return in reality with all techniques minus that of each arm, agents paired by seed: mean and "
-    "90 % interval, positive if the arm is worse. A loss is significant if its interval excludes "
-    "zero. Needed are the seeds for an interval narrower than a third of the largest loss."
+    "With all techniques minus each arm, in reality, agents paired by seed: mean and 90 % "
+    "interval, positive if the arm is worse. A loss of return is significant if its interval "
+    "excludes zero. Needed are the seeds for an interval narrower than a third of the largest loss "
+    "of return."
+)
+_VALUES = (
+    "FishGym (Liu et al., ICRA 2022) drives the joints of its koi by torque of at most 2 N m and "
+    "gives all links the density 1080 kg/m³ (github.com/dongfangliu/gym-fish). Here commands are "
+    "angles, so its drive is a stiff controller at the same limit, and one density for all links "
+    "is that which keeps the robot's mass."
 )
 
 
-def write_report(results: Results, plan: Plan, folder: Path, note: Mapping[str, Any]) -> None:
-    """Write ``index.html``, ``ablation.md``, ``ablation.json``; ``curve.png`` if agents trained."""
-    losses = {arm: asdict(loss) for arm, loss in differences(results).items()}
-    write_json(folder / "ablation.json", {**results, "table": rows(results), "losses": losses})
+def write_report(
+    results: Results, plan: Plan, folder: Path, note: Mapping[str, Any], values: Table
+) -> None:
+    """Write ``index.html``, ``ablation.md``, ``ablation.json``; ``curve.png`` if agents trained.
+
+    ``note`` is the provenance, ``values`` the result of ``default_values``.
+    """
+    losses = {
+        name: {arm: asdict(loss) for arm, loss in differences(results, figure).items()}
+        for name, figure in (("losses", OUTCOME), ("losses_paper", "paper"))
+    }
+    content = {**results, "table": rows(results), **losses, "provenance": note}
+    write_json(folder / "ablation.json", content)
     write_whole(folder / "ablation.md", markdown(results) + "\n")
     trained: dict[str, list[Path]] = {}
     for agent in results["agents"]:
@@ -50,7 +70,36 @@ def write_report(results: Results, plan: Plan, folder: Path, note: Mapping[str, 
     if trained:  # pretrained agents have no curves
         draw_curves(trained, folder / "curve.png")
     lead = f"{len(results['agents'])} agents of {plan.steps} steps in the {plan.fidelity}"
-    write_page(folder / "index.html", "Ablation", lead, sections(results, plan), note)
+    footer = footer_of(results, note)
+    write_page(folder / "index.html", "Ablation", lead, sections(results, plan, values), footer)
+
+
+def footer_of(results: Results, note: Mapping[str, Any]) -> dict[str, Any]:
+    """Provenance for the footer of a page, with the seeds of the agents and PyTorch's version."""
+    seeds = ", ".join(map(str, sorted({agent["seed"] for agent in results["agents"]})))
+    versions = {**note.get("versions", {}), "torch": torch.__version__}
+    return {**note, "seed": f"{note['seed']} (turns), {seeds} (agents)", "versions": versions}
+
+
+def default_values(model: Model, robot: Robot) -> Table:
+    """The values of the model with and without each technique."""
+
+    def column(name: str) -> list[str]:
+        one = model_of(ARMS[name], model, robot)
+        joints, attributes = one.joints.values(), ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
+        values = [[getattr(joint, attribute) for joint in joints] for attribute in attributes]
+        effects = [effect for joint in joints for effect in joint.effects]
+        limits = [e.parameters["limit_Nm"] for e in effects if e.effect == "torque_saturation"]
+        values += [limits, one.body["normalised_density"]]
+        return [", ".join(f"{x:.3g}" for x in (v if len(set(v)) > 1 else v[:1])) for v in values]
+
+    names = ("servo kp (N m/rad)", "servo kd (N m s/rad)", "servo latency (s)",
+             "servo torque limit (N m)", "normalised density of the links")  # fmt: skip
+    lines = [
+        (x, a or "none", b) for x, a, b in zip(names, column("full"), column("none"), strict=True)
+    ]
+    lines.append(("robot of an episode", "from the ranges, with noise", "this one, without noise"))
+    return Table(("parameter", "with the technique", "without it"), lines, _VALUES)
 
 
 def rows(results: Results) -> list[dict[str, Any]]:
@@ -62,7 +111,7 @@ def rows(results: Results) -> list[dict[str, Any]]:
         for testbed in results["testbeds"]:
             row[testbed] = {
                 name: bootstrap([a[testbed][name] for a in agents], np.random.default_rng(0))
-                for name in (OUTCOME, "reward")
+                for name in (OUTCOME, "paper")
             }
             for name in ("success", "time_s", "energy"):
                 row[testbed][name] = float(np.mean([a[testbed][name] for a in agents]))
@@ -77,20 +126,21 @@ def tables(results: Results) -> dict[str, Table]:
         cells = [ARMS[row["arm"]].title]
         for testbed in results["testbeds"]:
             arrives = f"{100 * row[testbed]['success']:.0f} %"
-            cells += [_ends(row[testbed][OUTCOME]), arrives]
+            cells += [_ends(row[testbed][OUTCOME]), _ends(row[testbed]["paper"], ".1f"), arrives]
         real = row["reality"]
-        cells += [f"{real['time_s']:.1f}", f"{real['energy']:.0f}", f"{real['reward'][0]:.1f}"]
-        returns.append(cells)
-    header = ("arm", "return, simulation", "arrives", "return, reality", "arrives", "time (s)",
-              "energy", "reward")  # fmt: skip
-    losses = differences(results)
+        returns.append([*cells, f"{real['time_s']:.1f}", f"{real['energy']:.0f}"])
+    places = [x for testbed in results["testbeds"]
+              for x in (f"return, {testbed}", "paper's reward", "arrives")]  # fmt: skip
+    header = ("arm", *places, "time (s)", "energy")
+    losses, by_paper = differences(results), differences(results, "paper")
     needed = {arm: S or "more than 200" for arm, S in seeds_needed(losses).items()}
     lost = [
         (ARMS[arm].title, _ends((x.mean, x.low, x.high), "+.2f"), "yes" if x.significant else "no",
-         f"{x.sd:.2f}", str(x.pairs), str(needed[arm]))
+         f"{x.sd:.2f}", str(x.pairs), str(needed[arm]), _ends(astuple(by_paper[arm])[:3], "+.1f"))
         for arm, x in losses.items()
     ]  # fmt: skip
-    titles = ("arm", "loses in reality, by seed", "significant", "sd over pairs", "pairs", "needed")
+    titles = ("arm", "loses return, by seed", "significant", "sd over pairs", "pairs", "needed",
+              "loses paper's reward")  # fmt: skip
     return {"returns": Table(header, returns, _RETURNS), "losses": Table(titles, lost)}
 
 
@@ -109,7 +159,7 @@ def markdown(results: Results) -> str:
     return "\n\n".join(parts)
 
 
-def sections(results: Results, plan: Plan) -> list[Section]:
+def sections(results: Results, plan: Plan, values: Table) -> list[Section]:
     """Sections of the page."""
     made, table = tables(results), rows(results)
     lost: list[Block] = [made["losses"]]
@@ -127,6 +177,7 @@ def sections(results: Results, plan: Plan) -> list[Section]:
         f"Reality: {results['said']['reality']}."
     )
     effect: list[Block] = [picture(return_figure(table)), made["returns"]]
+    effect += [Text(order_text(table)), values]
     lead = "Trajectories of the head in reality: two turns of each agent."
     return [
         Section(
@@ -144,35 +195,69 @@ def picture(figure: Figure) -> Picture:
 
 
 def retention_text(by_arm: Mapping[str, Mapping[str, Any]]) -> str:
-    """The share of its simulated return that arm "all" keeps in reality, as a sentence."""
-    if "all" not in by_arm:
+    """The share of its simulated return that arm "full" keeps in reality, as a sentence."""
+    if "full" not in by_arm:
         return ""
-    sim, real = (by_arm["all"][testbed][OUTCOME][0] for testbed in ("simulation", "reality"))
+    sim, real = (by_arm["full"][testbed][OUTCOME][0] for testbed in ("simulation", "reality"))
     text = f"With all techniques the return is {sim:.2f} in simulation and {real:.2f} in reality"
     text += f", {100 * real / sim:.0f} % of it." if sim > 0 else "."
-    if "all-and-effects" in by_arm and sim > real:
-        gain = by_arm["all-and-effects"]["reality"][OUTCOME][0] - real
+    if "full-and-effects" in by_arm and sim > real:
+        gain = by_arm["full-and-effects"]["reality"][OUTCOME][0] - real
         text += f" With the effects found, {100 * gain / (sim - real):.0f} % of the gap is closed."
     return text
 
 
+def order_text(table: list[dict[str, Any]]) -> str:
+    """The order of the arms in reality by both measures, beside the paper's; why they differ."""
+    real = {row["arm"]: row["reality"] for row in table}
+    measures = {"return": OUTCOME, "the paper's reward": "paper"}
+    orders = {x: sorted(real, key=lambda arm: -real[arm][key][0]) for x, key in measures.items()}
+    listed = (
+        f"By {name}: " + ", ".join(f"{ARMS[x].title} ({real[x][key][0]:.1f})" for x in orders[name])
+        for name, key in measures.items()
+    )
+    texts = [f"In reality. {'. '.join(listed)}."]
+    if set(PAPER) <= real.keys():
+        four = {name: [arm for arm in order if arm in PAPER] for name, order in orders.items()}
+        held = [name for name, o in four.items() if (o[0], o[-1]) == ("full", "no-servo")]
+        texts.append(
+            "The paper's order, all techniques first and no servo calibration last, is found by "
+            f"{' and by '.join(held) or 'neither measure'}."
+        )
+    first = real.get("full", {})
+    for arm, one in real.items() if first else ():
+        value, paper = (one[key][0] - first[key][0] for key in measures.values())
+        if value * paper < 0:
+            saved, later = first["energy"] - one["energy"], one["time_s"] - first["time_s"]
+            texts.append(
+                f"The measures disagree on {ARMS[arm].title}: against all techniques it has "
+                f"{paper:+.1f} of the paper's reward, {0.001 * saved:+.1f} of it by its energy "
+                f"({one['energy']:.0f} instead of {first['energy']:.0f}), with turns "
+                f"{abs(later):.1f} s {'longer' if later > 0 else 'shorter'}. The paper's reward "
+                "has no price of time: an arm that beats slowly scores by spending less."
+            )
+    return " ".join(texts)
+
+
 def return_figure(table: list[dict[str, Any]]) -> Figure:
-    """Return of each arm in simulation and in reality, with intervals."""
+    """Return and the paper's reward of each arm in simulation and in reality, with intervals."""
+    bars = (("simulation", FAINT, -0.17), ("reality", ACCENT, 0.17))
+    labels = {OUTCOME: "discounted return of a 180° turn", "paper": "the paper's reward"}
     with house_style():
-        figure = new_figure(60 + 46 * len(table), "Return of each arm in simulation and reality")
-        axes = figure.subplots()
-        for testbed, colour, offset in (("simulation", FAINT, -0.17), ("reality", ACCENT, 0.17)):
-            y = np.arange(len(table)) + offset
-            mean, low, high = np.array([row[testbed][OUTCOME] for row in table]).T
-            axes.barh(y, mean, 0.3, color=colour, label=testbed)
-            axes.errorbar(mean, y, xerr=[mean - low, high - mean], fmt="none", ecolor="0.2", lw=1)
+        figure = new_figure(60 + 46 * len(table), "Two measures of each arm")
+        panels = figure.subplots(1, 2, sharey=True)
+        for axes, (name, label) in zip(panels, labels.items(), strict=True):
+            for testbed, colour, offset in bars:
+                y = np.arange(len(table)) + offset
+                mean, low, high = np.array([row[testbed][name] for row in table]).T
+                axes.barh(y, mean, 0.3, color=colour, label=testbed)
+                error = [mean - low, high - mean]
+                axes.errorbar(mean, y, xerr=error, fmt="none", ecolor="0.2", lw=1)
+            axes.grid(axis="x")
+            axes.grid(visible=False, axis="y")
+            axes.set_xlabel(label, loc="right")
         axes.set_yticks(range(len(table)), [ARMS[row["arm"]].title for row in table])
         axes.invert_yaxis()
-        axes.grid(axis="x")
-        axes.grid(visible=False, axis="y")
-        axes.set_xlabel(
-            "discounted return of a 180 degree turn\nwith the target 1.5 m behind", loc="right"
-        )
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper right", ncols=2)
     return figure
 
@@ -182,7 +267,7 @@ def trajectory_figure(results: Results) -> Figure:
     targets = np.array(results["targets"]["reality"])
     ways: dict[str, list[Any]] = {}
     for agent in results["agents"]:
-        colour = ACCENT if agent["arm"] == "all" else INK
+        colour = ACCENT if agent["arm"] == "full" else INK
         ways.setdefault(ARMS[agent["arm"]].title, []).extend(
             aligned(np.array(path), target, colour)
             for path, target in zip(agent["reality"]["path"], targets, strict=False)

@@ -154,13 +154,13 @@ def paired(first: Array, second: Array) -> Difference:
     return Difference(mean, mean - margin, mean + margin, sd, S)
 
 
-def differences(results: Mapping[str, Any]) -> dict[str, Difference]:
-    """Differences in reality of "all" and each other arm in the result of ``ablate``, by arm."""
+def differences(results: Mapping[str, Any], figure: str = OUTCOME) -> dict[str, Difference]:
+    """Differences in reality of "full" and each other arm in the result of ``ablate``, by arm."""
     table: dict[str, dict[int, float]] = {}
     for agent in results["agents"]:
-        mean = float(np.mean(agent["reality"][OUTCOME]))
+        mean = float(np.mean(agent["reality"][figure]))
         table.setdefault(agent["arm"], {})[agent["seed"]] = mean
-    reference = table.pop("all", {})
+    reference = table.pop("full", {})
     out = {}
     for arm, outcomes in table.items():
         seeds = [seed for seed in reference if seed in outcomes]

@@ -243,7 +243,7 @@ def test_demo_ends_in_a_page(train, short, tmp_path, capsys, monkeypatch):
         "ablate", "swim", "report",
     ]  # fmt: skip
     agents = json.loads(next(out.glob("*/ablation.json")).read_text())["agents"]
-    assert len(agents) == 4 * (2 if train else 8)
+    assert len(agents) == 4 * (2 if train else 5)
     assert len(agents[0]["reality"]["return"]) == 2
 
 

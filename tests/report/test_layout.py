@@ -31,9 +31,10 @@ def _fit(bench):
 
 
 def _returns():
-    arms = [{"arm": arm} for arm in ("all", "no-servo", "no-density", "no-randomization")]
+    arms = [{"arm": arm} for arm in ("full", "no-servo", "no-density", "no-randomization")]
     for row in arms:
-        row |= {testbed: {OUTCOME: (10.0, -3.0, 12.0)} for testbed in ("simulation", "reality")}
+        bars = dict.fromkeys((OUTCOME, "paper"), (10.0, -3.0, 12.0))
+        row |= dict.fromkeys(("simulation", "reality"), bars)
     return return_figure(arms)
 
 

@@ -12,7 +12,13 @@ import rl.experiments.testbeds
 from rl.commands.ablate import make_testbeds
 from rl.deploy.export import read_zip
 from rl.experiments.ablation import ARMS, STIFF, ablate, arm_of, model_of, one_density
-from rl.experiments.ablation_report import markdown, tables, write_report
+from rl.experiments.ablation_report import (
+    default_values,
+    markdown,
+    order_text,
+    tables,
+    write_report,
+)
 from rl.experiments.episodes import Episodes
 from rl.experiments.reality import read_reality
 from rl.experiments.statistics import bootstrap, differences, paired, seeds_needed
@@ -42,11 +48,11 @@ PLAN = Plan(
     settings=Settings(hidden=(8, 8), memory=200, batch=8, warm_up=40, updates_per_step=0.1),
 )
 
-NAMES = ("all", "no-servo")
+NAMES = ("full", "no-servo")
 
 
 def test_an_arm_differs_from_all_techniques_in_its_own_technique_alone(robot, model):
-    every = model_of(ARMS["all"], model, robot)
+    every = model_of(ARMS["full"], model, robot)
     assert np.allclose(every.body["normalised_density"], normalised_density(robot).value)
     stiff = model_of(ARMS["no-servo"], model, robot)
     assert all(joint == STIFF for joint in stiff.joints.values())
@@ -69,7 +75,7 @@ def test_a_range_does_not_bring_back_what_an_arm_leaves_out(robot, model):
     alone = arm_of("no-randomization", model, robot, RANGES).draws
     assert len(alone.models) == 1
     assert alone.noise.position_m == 0.0
-    assert arm_of("all", model, robot, RANGES).draws.noise.position_m == 0.002
+    assert arm_of("full", model, robot, RANGES).draws.noise.position_m == 0.002
     real = replace(model, joints={k: replace(v, latency_s=0.2) for k, v in model.joints.items()})
     ceiling = arm_of("ceiling", model, robot, RANGES, reality=real).draws
     assert {j.latency_s for m in ceiling.models for j in m.joints.values()} == {0.2}
@@ -104,7 +110,7 @@ def run(ablated, trained, tmp_path):
 def test_an_agent_knows_what_it_was_trained_over(trained):
     every, stiff = (
         read_zip(next(trained.rglob(f"{name}-0")) / "policy.zip").provenance["trained_over"]
-        for name in ("all", "no-servo")
+        for name in ("full", "no-servo")
     )
     low, high = every["j1.kp_Nm_per_rad"]
     assert 1.9 < low < 1.95 and 2.25 < high < 2.3
@@ -114,7 +120,7 @@ def test_an_agent_knows_what_it_was_trained_over(trained):
 def test_it_resumes_and_is_not_done_twice(run, tmp_path, monkeypatch, model):
     found = run()
     assert [(a["arm"], a["seed"]) for a in found["agents"]] == [
-        ("all", 0), ("all", 1), ("no-servo", 0), ("no-servo", 1),
+        ("full", 0), ("full", 1), ("no-servo", 0), ("no-servo", 1),
     ]  # fmt: skip
     (tmp_path / "run" / "reality.json").unlink()
     assert run() == found
@@ -142,17 +148,26 @@ def test_a_reality_of_ones_own_is_tried_anew_where_its_file_has_changed(run, tmp
             run(read_reality(path))
 
 
-def test_the_report_has_the_same_rows_on_page_markdown_and_json(run, tmp_path):
+def test_the_report_has_the_same_rows_on_page_markdown_and_json(run, tmp_path, robot, model):
     found, folder = run(), tmp_path / "run"
-    write_report(found, PLAN, folder, {"inputs": {}, "versions": {}})
+    note = {"command": "ablate --quick", "seed": 3, "inputs": {"a.csv": "0a1b"}, "versions": {}}
+    write_report(found, PLAN, folder, note, default_values(model, robot))
     page, written = (folder / "index.html").read_text(), (folder / "ablation.md").read_text()
-    for words in ("no servo calibration", "No arm reached the target"):
+    footer = ("ablate --quick", "3 (turns), 0, 1 (agents)", "torch", "a.csv")
+    for words in ("no servo calibration", "No arm reached the target", *footer):
         assert words in page
     assert markdown(found) in written
     content, loss = json.loads((folder / "ablation.json").read_text()), differences(found)
-    assert [row["arm"] for row in content["table"]] == ["all", "no-servo"]
+    assert [row["arm"] for row in content["table"]] == ["full", "no-servo"]
     assert content["losses"] == {"no-servo": pytest.approx(asdict(loss["no-servo"]))}
     assert f"{loss['no-servo'].mean:+.2f}" in page
+    agent = found["agents"][0]["reality"]
+    assert agent["paper"] == pytest.approx(
+        np.array(agent["reward"]) - (0.001 - PLAN.task.energy) * np.array(agent["energy"])
+    )
+    values = {row[0]: row[1:] for row in default_values(model, robot).rows}
+    assert values["servo torque limit (N m)"] == ("none", "2")
+    assert values["servo kp (N m/rad)"][1] == "10"
 
 
 def test_a_loss_has_one_sign_in_every_table():
@@ -160,7 +175,7 @@ def test_a_loss_has_one_sign_in_every_table():
     rng, number = np.random.default_rng(), r"([+-]\d+\.\d+)"
     for _ in range(50):
         shift, spread = rng.normal(0, 3), rng.uniform(0.1, 5)
-        outcomes = {"all": rng.normal(10, 1, 6), "no-servo": rng.normal(10 - shift, spread, 6)}
+        outcomes = {"full": rng.normal(10, 1, 6), "no-servo": rng.normal(10 - shift, spread, 6)}
         agents = [
             {"arm": arm, "seed": seed, "folder": f"{arm}-{seed}"}
             | {testbed: {**TURN, "return": [float(x)]} for testbed in ("simulation", "reality")}
@@ -169,27 +184,33 @@ def test_a_loss_has_one_sign_in_every_table():
         ]
         found = {"agents": agents, "testbeds": ["simulation", "reality"]}
         loss = differences(found)["no-servo"]
-        mean = float(np.mean(outcomes["all"] - outcomes["no-servo"]))
+        mean = float(np.mean(outcomes["full"] - outcomes["no-servo"]))
         expected = tuple(f"{x:+.2f}" for x in (mean, loss.low, loss.high))
         assert loss.low <= mean <= loss.high
-        assert re.findall(rf"{number}; {number} to {number}", markdown(found)) == [expected]
+        cells = re.findall(rf"{number}; {number} to {number}", markdown(found))
+        assert cells == [expected, ("+0.0", "+0.0", "+0.0")]  # the paper's reward is the same
         (row,) = tables(found)["losses"].rows
         assert row[2] == ("yes" if loss.significant else "no")
 
 
-TURN = {"reward": [1.0], "success": [True], "time_s": [1.0], "energy": [1.0]}
+TURN = {"paper": [1.0], "success": [True], "time_s": [1.0], "energy": [1.0]}
 
 
-def test_what_arms_go_on_from_lies_half_way(robot, model):
-    middle, new = (arm_of(name, model, robot, RANGES).draws for name in ("midway", "all"))
-    for one, other in zip(middle.models, new.models, strict=True):
-        for name, joint in one.joints.items():
-            ends = (other.joints[name], STIFF)
-            assert joint.kp_Nm_per_rad**2 == pytest.approx(np.prod([e.kp_Nm_per_rad for e in ends]))
-            assert joint.latency_s == pytest.approx(np.mean([e.latency_s for e in ends]))
-        even = np.mean([other.body["normalised_density"], one_density(robot)], axis=0)
-        assert np.allclose(one.body["normalised_density"], even)
-    assert middle.noise == new.noise
+def test_measures_that_order_arms_differently_are_explained_by_the_energy():
+    def row(arm, value, paper, energy, time):
+        real = {"return": [value], "paper": [paper], "energy": energy, "time_s": time}
+        return {"arm": arm, "reality": real}
+
+    between = [row(arm, 8.5, 10.5, 13_500.0, 7.0) for arm in ("no-density", "no-randomization")]
+    rows = [row("full", 9.0, 11.0, 13_000.0, 6.0), *between]
+    text = order_text([*rows, row("no-servo", 8.0, 16.5, 8_000.0, 9.5)])
+    assert "By the paper's reward: no servo calibration (16.5), all techniques (11.0)" in text
+    assert "is found by return." in text
+    assert "+5.5 of the paper's reward, +5.0 of it by its energy (8000 instead of 13000)" in text
+    assert "3.5 s longer" in text
+    text = order_text([*rows, row("no-servo", 8.0, 10.0, 13_000.0, 9.5)])
+    assert "by return and by the paper's reward" in text and "disagree" not in text
+    assert "by neither" in order_text([*rows, row("no-servo", 9.5, 16.0, 8_000.0, 9.5)])
 
 
 def test_a_return_is_what_agents_learn_to_earn():

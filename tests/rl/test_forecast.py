@@ -46,7 +46,7 @@ from sim2real.recording import Load
 from sim2real.servo.parameters import COLUMNS
 
 POOL = Path(__file__).resolve().parents[2] / "datasets" / "pool"
-POLICY = POOL / "agents" / "ablation" / "all-0" / "policy.npz"
+POLICY = POOL / "agents" / "ablation" / "full-0" / "policy.npz"
 BOTH = (POLICY, "pnl")
 RANGES = Ranges(
     (
@@ -374,7 +374,7 @@ def files(tmp_path, model):
 def test_the_command_writes_forecast_and_page_and_trials_update_it(files, capsys):
     assert files.call("--limit", "time<=6@0.9", policy=BOTH, realities=80) == 0
     content = json.loads((files.folder / "forecast.json").read_text())
-    time = content["policies"]["all-0"]["time_s"]
+    time = content["policies"]["full-0"]["time_s"]
     assert np.allclose([time["mean"], *time["next_trial_90"]], 0.4), "none arrives so soon"
     energy = content["policies"]["pnl"]["energy"]
     assert energy["mean_90"][0] < energy["mean"] < energy["mean_90"][1]
@@ -386,7 +386,7 @@ def test_the_command_writes_forecast_and_page_and_trials_update_it(files, capsys
     assert "What to measure next" in page and "Which policy" in page
     likely = [x["best"] for x in content["ranking"]]
     assert likely == sorted(likely, reverse=True) and len(likely) == 2
-    learned = content["ranking"][0]["policy"] == "all-0"  # a controller is not trained
+    learned = content["ranking"][0]["policy"] == "full-0"  # a controller is not trained
     assert bool(content["train_next"]) == ("What to randomize next" in page) == learned
     energy = energy["mean"]
     trials = files.folder / "trials.csv"
@@ -425,14 +425,14 @@ def test_bad_input_is_one_line(files, capsys):
     refused("at least 20", realities=3)
     trials = files.folder / "trials.csv"
     for table, words in (
-        ("policy,time_s\nall-0,3\n", "a column success"),
-        ("policy,success\nall-0,1\n", "one of time_s"),
+        ("policy,time_s\nfull-0,3\n", "a column success"),
+        ("policy,success\nfull-0,1\n", "one of time_s"),
         ("policy,success,time_s\nbest,1,3\n", "row 2"),
-        ("policy,success,time_s\nall-0,perhaps,3\n", "0 or 1"),
-        ("policy,success,time_s\nall-0,1,\n", "a number"),
+        ("policy,success,time_s\nfull-0,perhaps,3\n", "0 or 1"),
+        ("policy,success,time_s\nfull-0,1,\n", "a number"),
     ):
         trials.write_text(table)
         refused(words, "--trials", trials)
     with pytest.raises(InputError):
-        read_trials(trials, ["all-0"], 20.0)
+        read_trials(trials, ["full-0"], 20.0)
     assert read_model(files.folder / "model.json").joints

@@ -174,16 +174,6 @@ def test_files_of_former_versions_give_the_same_actions(world_of, tmp_path, view
     assert torch.equal(ours.log_ent_coef, theirs.log_ent_coef)
 
 
-@pytest.mark.parametrize("number", [0, 1])
-def test_shipped_agents_give_the_same_actions(number):
-    file = POOL / "agents" / f"midway-{number}.zip"
-    theirs, ours = SAC.load(file, device="cpu"), read_agent(file)
-    seen = np.random.default_rng(1).normal(size=(50, View().size(3))).astype(np.float32)
-    assert np.array_equal(*(one.predict(seen, deterministic=True)[0] for one in (theirs, ours)))
-    for name, value in theirs.policy.state_dict().items():
-        assert torch.equal(value, ours.policy.state_dict()[name])
-
-
 def test_gaits_of_former_versions_are_chosen_as_before(old, agents):
     controller = read_policy(old["dqn"], read_table(old["dqn"]), LIMITS, 9)
     seen = np.random.default_rng(2).normal(0, 0.5, (40, 13)).astype(np.float32)

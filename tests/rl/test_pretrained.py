@@ -20,7 +20,7 @@ POOL = Path(__file__).resolve().parents[2] / "datasets" / "pool"
 
 @pytest.fixture
 def kept(tmp_path):
-    """Two agents of one arm, kept as trained ones are; and the plan."""
+    """Two agents of one arm, by its former name, kept as trained ones are; and the plan."""
     files = {"model.json": POOL / "calibrated.json", "ranges.json": POOL / "ranges.json"}
     plan = replace(demo_pool.QUICK, seeds=(0, 1))
     folders = []
@@ -35,7 +35,7 @@ def kept(tmp_path):
 
 def test_kept_agents_act_as_those_that_were_trained(kept):
     folder, plan = kept
-    agents, seeds = read_pretrained(folder, ["all"])
+    agents, seeds = read_pretrained(folder, ["full"])
     assert seeds == plan.seeds
     assert json.loads((folder / LISTING).read_text())["plan"] == plan.content()
     for agent, trained in zip(agents, agents_in(POOL), strict=True):
@@ -51,13 +51,13 @@ def test_agents_that_are_missing_or_changed_are_refused(kept):
         read_pretrained(folder, ["no-servo"])
     shutil.copy(folder / "all-0" / "policy.npz", folder / "all-1" / "policy.npz")
     with pytest.raises(InputError, match="another file"):
-        read_pretrained(folder, ["all"])
+        read_pretrained(folder, ["full"])
     (folder / LISTING).write_text("{}")
     with pytest.raises(InputError, match="seeds"):
-        read_pretrained(folder, ["all"])
+        read_pretrained(folder, ["full"])
     (folder / LISTING).unlink()
     with pytest.raises(InputError, match="no such file"):
-        read_pretrained(folder, ["all"])
+        read_pretrained(folder, ["full"])
 
 
 def test_the_shipped_agents_are_those_of_the_demos_plan():
@@ -72,5 +72,5 @@ def test_the_shipped_agents_are_those_of_the_demos_plan():
     assert sum(file.stat().st_size for file in folder.rglob("*.*")) < 2_000_000
     made = listing["provenance"]["inputs"]
     assert {Path(name).name for name in made} == {
-        "robot.toml", "model.json", "p1.csv", *(path.name for path in agents_in(POOL)),
+        "robot.toml", "calibrated.json", "ranges.json", *(path.name for path in agents_in(POOL)),
     }  # fmt: skip
