@@ -50,7 +50,7 @@ def test_what_the_paper_shows_is_one_command(tmp_path, capsys, monkeypatch):
     """Each result has its figure and its numbers; kept policies are stages before the last."""
     agent, out = tmp_path / "run" / "policy-0", tmp_path / "out"
     agent.mkdir(parents=True)
-    for stage, source in (("policy-900.npz", "no-servo-0"), ("policy.npz", "all-0")):
+    for stage, source in (("policy-900.npz", "no-servo-0"), ("policy.npz", "full-0")):
         shutil.copy(POOL / "agents" / "ablation" / source / "policy.npz", agent / stage)
     rows = [f"{k},70,{k / 100},0.5,90,0,0,0,0" for k in range(100, 1800, 100)]
     (agent / "progress.csv").write_text("\n".join([",".join(COLUMNS), *rows]) + "\n")
