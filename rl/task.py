@@ -136,7 +136,7 @@ class Zone(NamedTuple):
 
 
 START_ZONE, TARGET_ZONE = Zone(-1.0), Zone(1.0)
-"""Zones of the task ``zones``; the paper's Fig. 5 does not state where they are."""
+"""Zones of the task ``zones``; the paper's Fig. 4 does not state where they are."""
 
 
 def zones(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:

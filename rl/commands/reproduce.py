@@ -83,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def learning_curves(options: argparse.Namespace, _: Fish) -> tuple[Section, Any]:
-    """Return and success against steps, over the seeds of a training (Fig. 5 a)."""
+    """Return and success against steps, over the seeds of a training (Fig. 4 a)."""
     from rl.sac.checkpoint import curves_figure, read_progress
 
     folders = _agents(options.run)
@@ -97,7 +97,7 @@ def learning_curves(options: argparse.Namespace, _: Fish) -> tuple[Section, Any]
 
 
 def stages(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
-    """Policies kept in a training, between the start zone and the target zone (Fig. 5 b)."""
+    """Policies kept in a training, between the start zone and the target zone (Fig. 4 b)."""
     from rl.experiments.paths import zones_figure
     from rl.sac.checkpoint import read_progress
 
@@ -139,12 +139,12 @@ def calibration(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     figure = _figure(options, "calibration", compared_figure(shown))
     rows = [(name, *(f"{x:.3g}" for x in row.values())) for name, row in errors.items()]
     table = Table(("swim", *next(iter(errors.values()))), rows, "Root mean square errors.")
-    lead = "Measured (red) and simulated (blue) from the recorded commands, which no fit has used."
+    lead = "Measured (red) and simulated (blue) from the recorded commands."
     return Section("Calibration", lead, [figure, table]), errors
 
 
 def turn(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
-    """The turn by 180 degrees, simulated and in reality, as stills and as a film (Fig. 6)."""
+    """The turn by 180 degrees, simulated and in reality, as stills and as a film (Fig. 5)."""
     from rl.experiments.compared import in_step, stills_figure
 
     check_video(options.out / "turn.mp4")
@@ -174,7 +174,7 @@ def turn(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
 
 
 def pentagram(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
-    """Four controllers at 21 waypoints: paths, time and energy (Fig. 7 and 8)."""
+    """Four controllers at 21 waypoints: paths, time and energy (Fig. 6 and 7)."""
     from rl.experiments.paths import bars_figure
 
     chosen = options.policies or [str(_policy(_best(options.run))), "pnl", "adrc", str(_GAITS)]

@@ -195,7 +195,7 @@ def draw_curves(agents: Mapping[str, Sequence[Path]], path: Path) -> None:
 def curves_figure(agents: Mapping[str, Sequence[Path]]) -> Figure:
     """Return and success against steps: means of groups of agents.
 
-    Of a single group, the standard deviation over its agents is shaded, as in the paper's Fig. 5.
+    Of a single group, the standard deviation over its agents is shaded, as in the paper's Fig. 4.
     """
     with house_style():
         figure = new_figure(420, "Return and success of episodes against training steps")

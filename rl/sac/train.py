@@ -224,8 +224,8 @@ def _train(
 
     def noted() -> None:
         """Report the newest rows; keep the policies at the end of a stage."""
-        for name, rows in zip(names, progress.rows, strict=True):
-            if report is not None:
+        if report is not None:
+            for name, rows in zip(names, progress.rows, strict=True):
                 report(name, dict(zip(COLUMNS, rows[-1], strict=True)))
         before = progress.rows[0][-2][0] if len(progress.rows[0]) > 1 else 0
         if any(before < share * plan.steps <= progress.steps for share in plan.kept):
