@@ -178,7 +178,7 @@ def drawn(title: str, t: Array, measured: Array, angles: dict[str, Array], floor
             error.plot(t[shown], 1e3 * off[shown], dashes, **look)
         angle.set(title="angle, rad", xlabel="time, s")
         error.set(title="simulated − measured, mrad", xlabel="time, s")
-        figure.legend(*angle.get_legend_handles_labels(), loc="outside upper right", ncols=3)
+        figure.legend(*angle.get_legend_handles_labels(), loc="outside upper left", ncols=3)
     return svg(figure)
 
 

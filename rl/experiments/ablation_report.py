@@ -30,15 +30,20 @@ Results = Mapping[str, Any]
 
 _RETURNS = (
     "Return: rewards discounted as in training. The paper's reward: undiscounted, with its weight "
-    "of energy, 0.001. Both are means with 90 % bootstrap intervals over agents and repeats. Time "
-    "and energy are those in reality, over all turns: a turn that does not arrive counts with the "
-    "full duration of the task."
+    "of energy, 0.001. Means with 90 % bootstrap intervals over agents and repeats. Time (s) and "
+    "energy (rad²/s²) are those of all turns: a turn that does not arrive counts with the full "
+    "duration of the task."
 )
 _DIFFERENCES = (
     "With all techniques minus each arm, in reality, agents paired by seed: mean and 90 % "
     "interval, positive if the arm is worse. A loss of return is significant if its interval "
     "excludes zero. Needed are the seeds for an interval narrower than a third of the largest loss "
     "of return."
+)
+_BARS = "Means, and 90 % bootstrap intervals over agents and repeats, as in the table."
+_TURNS = (
+    "Trajectories of the head in reality: two turns of each agent, from the dot to the circle. "
+    "What lies outside of a panel is not shown."
 )
 _VALUES = (
     "FishGym (Liu et al., ICRA 2022) drives the joints of its koi by torque of at most 2 N m and "
@@ -69,7 +74,7 @@ def write_report(
                 trained.setdefault(ARMS[agent["arm"]].title, []).append(run)
     if trained:  # pretrained agents have no curves
         draw_curves(trained, folder / "curve.png")
-    lead = f"{len(results['agents'])} agents of {plan.steps} steps in the {plan.fidelity}"
+    lead = f"{len(results['agents'])} agents of {plan.steps:,} steps in the {plan.fidelity}"
     footer = footer_of(results, note)
     write_page(folder / "index.html", "Ablation", lead, sections(results, plan, values), footer)
 
@@ -103,7 +108,7 @@ def default_values(model: Model, robot: Robot) -> Table:
 
 
 def rows(results: Results) -> list[dict[str, Any]]:
-    """One row per arm: by testbed, means with 90 % intervals of return and reward, other means."""
+    """One row per arm: by testbed, means, and 90 % intervals except of the share that arrives."""
     out = []
     for arm in dict.fromkeys(agent["arm"] for agent in results["agents"]):
         agents = [agent for agent in results["agents"] if agent["arm"] == arm]
@@ -114,7 +119,9 @@ def rows(results: Results) -> list[dict[str, Any]]:
                 for name in (OUTCOME, "paper")
             }
             for name in ("success", "time_s", "energy"):
-                row[testbed][name] = float(np.mean([a[testbed][name] for a in agents]))
+                values = [a[testbed][name] for a in agents]
+                row[testbed][name], *ends = bootstrap(values, np.random.default_rng(0))
+                row[testbed][f"{name}_interval"] = ends
         out.append(row)
     return out
 
@@ -123,15 +130,15 @@ def tables(results: Results) -> dict[str, Table]:
     """The tables of the report: ``returns`` and ``losses``."""
     table, returns = rows(results), []
     for row in table:
-        cells = [ARMS[row["arm"]].title]
         for testbed in results["testbeds"]:
-            arrives = f"{100 * row[testbed]['success']:.0f} %"
-            cells += [_ends(row[testbed][OUTCOME]), _ends(row[testbed]["paper"], ".1f"), arrives]
-        real = row["reality"]
-        returns.append([*cells, f"{real['time_s']:.1f}", f"{real['energy']:.0f}"])
-    places = [x for testbed in results["testbeds"]
-              for x in (f"return, {testbed}", "paper's reward", "arrives")]  # fmt: skip
-    header = ("arm", *places, "time (s)", "energy")
+            one = row[testbed]
+            time, used = ((one[x], *one[f"{x}_interval"]) for x in ("time_s", "energy"))
+            returns.append((
+                f"{ARMS[row['arm']].title}\n{testbed}", _ends(one[OUTCOME]),
+                _ends(one["paper"], ".1f"), f"{100 * one['success']:.0f} %",
+                _ends(time, ".1f"), _ends(used, ",.0f"),
+            ))  # fmt: skip
+    header = ("arm", "return", "paper's reward", "arrives", "time (s)", "energy")
     losses, by_paper = differences(results), differences(results, "paper")
     needed = {arm: S or "more than 200" for arm, S in seeds_needed(losses).items()}
     lost = [
@@ -141,7 +148,8 @@ def tables(results: Results) -> dict[str, Table]:
     ]  # fmt: skip
     titles = ("arm", "loses return, by seed", "significant", "sd over pairs", "pairs", "needed",
               "loses paper's reward")  # fmt: skip
-    return {"returns": Table(header, returns, _RETURNS), "losses": Table(titles, lost)}
+    made = Table(header, returns, _RETURNS), Table(titles, lost, _DIFFERENCES)
+    return dict(zip(("returns", "losses"), made, strict=True))
 
 
 def _ends(values: Sequence[float], shape: str = ".2f") -> str:
@@ -170,37 +178,36 @@ def sections(results: Results, plan: Plan, values: Table) -> list[Section]:
         )
         lost.insert(0, Note("warn", warning))
     method = Text(
-        f"Each agent: {plan.steps} steps of soft actor-critic at the task “{plan.task.name}”, "
+        f"Each agent: {plan.steps:,} steps of soft actor-critic at the task “{plan.task.name}”, "
         f"{plan.envs} environments, {plan.settings.updates_per_step:g} updates a step, energy "
         f"weight {plan.task.energy:g}; {results['repeats']} turns each in simulation and in "
         f"reality. Simulation: {results['said']['simulation']}. "
         f"Reality: {results['said']['reality']}."
     )
-    effect: list[Block] = [picture(return_figure(table)), made["returns"]]
+    effect: list[Block] = [picture(return_figure(table), _BARS), made["returns"]]
     effect += [Text(order_text(table)), values]
-    lead = "Trajectories of the head in reality: two turns of each agent."
     return [
         Section(
             "Effect of each technique", retention_text({row["arm"]: row for row in table}), effect
         ),
-        Section("Loss without each technique", _DIFFERENCES, lost),
-        Section("The turns", lead, [picture(trajectory_figure(results))]),
+        Section("Loss without each technique", "", lost),
+        Section("The turns", "", [picture(trajectory_figure(results), _TURNS)]),
         Section("Method", "", [method]),
     ]
 
 
-def picture(figure: Figure) -> Picture:
+def picture(figure: Figure, caption: str = "") -> Picture:
     """A figure for a page."""
-    return Picture(svg(figure))
+    return Picture(svg(figure), caption)
 
 
 def retention_text(by_arm: Mapping[str, Mapping[str, Any]]) -> str:
     """The share of its simulated return that arm "full" keeps in reality, as a sentence."""
     if "full" not in by_arm:
         return ""
-    sim, real = (by_arm["full"][testbed][OUTCOME][0] for testbed in ("simulation", "reality"))
+    (sim, low, _), (real, *_) = (by_arm["full"][x][OUTCOME] for x in ("simulation", "reality"))
     text = f"With all techniques the return is {sim:.2f} in simulation and {real:.2f} in reality"
-    text += f", {100 * real / sim:.0f} % of it." if sim > 0 else "."
+    text += f", {100 * real / sim:.0f} % of it." if low > 0 else "."
     if "full-and-effects" in by_arm and sim > real:
         gain = by_arm["full-and-effects"]["reality"][OUTCOME][0] - real
         text += f" With the effects found, {100 * gain / (sim - real):.0f} % of the gap is closed."
@@ -233,9 +240,11 @@ def order_text(table: list[dict[str, Any]]) -> str:
                 f"The measures disagree on {ARMS[arm].title}: against all techniques it has "
                 f"{paper:+.1f} of the paper's reward, {0.001 * saved:+.1f} of it by its energy "
                 f"({one['energy']:.0f} instead of {first['energy']:.0f}), with turns "
-                f"{abs(later):.1f} s {'longer' if later > 0 else 'shorter'}. The paper's reward "
-                "has no price of time: an arm that beats slowly scores by spending less."
+                f"{abs(later):.1f} s {'longer' if later > 0 else 'shorter'}."
             )
+            if min(paper, saved) > 0:
+                slow = "has no price of time: an arm that beats slowly scores by spending less."
+                texts.append(f"The paper's reward {slow}")
     return " ".join(texts)
 
 
@@ -252,13 +261,14 @@ def return_figure(table: list[dict[str, Any]]) -> Figure:
                 mean, low, high = np.array([row[testbed][name] for row in table]).T
                 axes.barh(y, mean, 0.3, color=colour, label=testbed)
                 error = [mean - low, high - mean]
-                axes.errorbar(mean, y, xerr=error, fmt="none", ecolor="0.2", lw=1)
+                axes.errorbar(mean, y, xerr=error, fmt="none", ecolor=INK, lw=1, capsize=2)
             axes.grid(axis="x")
             axes.grid(visible=False, axis="y")
+            axes.margins(x=0.04)
             axes.set_xlabel(label, loc="right")
         axes.set_yticks(range(len(table)), [ARMS[row["arm"]].title for row in table])
         axes.invert_yaxis()
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper right", ncols=2)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2)
     return figure
 
 

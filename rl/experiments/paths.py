@@ -10,7 +10,7 @@ import numpy as np
 from rl.experiments.episodes import FIGURES
 from rl.task import POINT, START_ZONE, TARGET_ZONE
 from sim2real.arrays import Array
-from sim2real.report.style import ACCENT, FAINT, INK, RULE, house_style, new_figure
+from sim2real.report.style import ACCENT, FAINT, INK, MUTED, RULE, house_style, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,7 +45,7 @@ def pool_figure(
         for target in targets:
             axes.add_patch(Circle(target, POINT.arrive_m, fc="none", ec=FAINT, zorder=2))
         axes.plot(*ways[name][0][0], "o", color=INK, markersize=4, zorder=4)
-        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x (m)", ylabel="y (m)")
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         axes.set_title(notes[name], loc="right")
 
     return _panels(panels, "Trajectories over the pool", height, mark, shared=False)
@@ -59,12 +59,14 @@ def zones_figure(ways: Mapping[str, Sequence[Array]], notes: Mapping[str, str]) 
         from matplotlib.patches import Rectangle
 
         axes.grid(False)
-        for zone, colour in ((START_ZONE, "tab:red"), (TARGET_ZONE, "tab:green")):
+        zones = (START_ZONE, "tab:red", "start"), (TARGET_ZONE, "tab:green", "target")
+        for zone, colour, word in zones:
             side, corner = zone.side_m, (zone.x_m - zone.side_m / 2, -zone.side_m / 2)
             axes.add_patch(Rectangle(corner, side, side, color=colour, alpha=0.2, lw=0))
+            axes.text(corner[0], 0.58, word, color=MUTED)
         ends = np.array([way[np.isfinite(way[:, 0])][-1] for way in ways[name]])
         axes.plot(*ends.T, "o", color=ACCENT, markersize=3)
-        axes.set(xlim=(-1.5, 1.5), ylim=(-0.75, 0.75), xlabel="x (m)")
+        axes.set(xlim=(-1.5, 1.5), ylim=(-0.75, 0.75))
         axes.set_title(notes[name], loc="right")
 
     panels = {name: [(way, style) for way in of_name] for name, of_name in ways.items()}
@@ -74,14 +76,21 @@ def zones_figure(ways: Mapping[str, Sequence[Array]], notes: Mapping[str, str]) 
 def bars_figure(figures: Mapping[str, Mapping[str, Array]]) -> Figure:
     """Mean and standard deviation of time and energy of each controller's trials, as bars."""
     with house_style():
-        figure = new_figure(260, "Time and energy of each controller")
-        for axes, name in zip(figure.subplots(1, 2), ("time_s", "energy"), strict=True):
+        figure = new_figure(70 + 34 * len(figures), "Time and energy of each controller")
+        panels = figure.subplots(1, 2, sharey=True)
+        for axes, name in zip(panels, ("time_s", "energy"), strict=True):
             spent = [of_name[name] for of_name in figures.values()]
             mean, sd = np.mean(spent, axis=1), np.std(spent, axis=1)
             colours = [ACCENT, *[FAINT] * (len(spent) - 1)]
-            axes.bar(list(figures), mean, 0.6, yerr=sd, color=colours, error_kw={"lw": 1})
-            axes.margins(x=0.08)
-            axes.set_title(FIGURES[name].label)
+            spread = {"ecolor": INK, "lw": 1, "capsize": 3}
+            axes.barh(list(figures), mean, 0.6, xerr=sd, color=colours, error_kw=spread)
+            axes.xaxis.set_major_formatter("{x:,.0f}")
+            axes.locator_params(axis="x", nbins=5)
+            axes.grid(axis="x")
+            axes.grid(visible=False, axis="y")
+            axes.margins(x=0.04)
+            axes.set_xlabel(FIGURES[name].label)
+        axes.invert_yaxis()
     return figure
 
 
@@ -99,7 +108,6 @@ def paths_figure(
             axes.plot([-away], [0], "o", mfc="none", mec=FAINT)
         axes.plot([0], [0], "o", color=INK, markersize=3)
         axes.margins(x=0.04)
-        axes.set_xlabel("m")
         if limits is not None:
             axes.set(xlim=limits[0], ylim=limits[1])
 
@@ -124,10 +132,12 @@ def _panels(
         for axes, (name, of_name) in zip(panels, ways.items(), strict=False):
             for position, style in of_name:
                 axes.plot(*position.T, **style)
-            axes.set(aspect="equal", autoscale_on=not shared)
+            axes.set(aspect="equal", autoscale_on=not shared, xlabel="x (m)", ylabel="y (m)")
             axes.locator_params(nbins=5)
             axes.set_title(name, color=INK)
             mark(axes, name)
+            if shared:
+                axes.label_outer()
     return figure
 
 

@@ -214,5 +214,5 @@ def curves_figure(agents: Mapping[str, Sequence[Path]]) -> Figure:
         lower.set_title("share that arrived (%)")
         lower.set(xlabel="steps of the environment, thousands", ylim=(0, 100))
         if len(agents) > 1:
-            figure.legend(*upper.get_legend_handles_labels(), loc="outside upper right", ncols=3)
+            figure.legend(*upper.get_legend_handles_labels(), loc="outside upper left", ncols=3)
     return figure

@@ -1,12 +1,15 @@
 """Nothing that a page shows is cut: text lies inside its figure."""
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from rl.experiments.ablation_report import OUTCOME, return_figure
+from rl.experiments.paths import bars_figure
 from sim2real.report.diagnosis_plots import bar_figure
+from sim2real.report.drawing import svg
 from sim2real.report.identification import parameter_figure
 from sim2real.report.ranges import density_figure, latency_figure
 from sim2real.report.series import fit_figure
@@ -38,6 +41,11 @@ def _returns():
     return return_figure(arms)
 
 
+def _bars():
+    trials = {"time_s": np.array([50.0, 120.0]), "energy": np.array([60_000.0, 180_000.0])}
+    return bars_figure({f"controller-{k}-of-a-long-name": trials for k in range(6)})
+
+
 FIGURES = {
     "fit": _fit,
     "parameters": lambda bench: parameter_figure(bench.model),
@@ -45,6 +53,7 @@ FIGURES = {
     "latency": lambda bench: latency_figure(LATENCIES),
     "bars": lambda bench: bar_figure([(0.98, "j1: one of backlash or play", True)]),
     "returns": lambda bench: _returns(),
+    "controllers": lambda bench: _bars(),
 }
 
 
@@ -64,6 +73,13 @@ def test_nothing_sticks_out_of_a_figure(name, bench):
     (left, bottom, right, top), (wide, high) = drawn(FIGURES[name](bench))
     assert min(left, bottom) > -SLACK_POINTS
     assert right < wide + SLACK_POINTS and top < high + SLACK_POINTS
+
+
+@pytest.mark.parametrize("make", [_returns, _bars])
+def test_intervals_are_visible_on_dark_pages(make):
+    """Every line has a colour of the page: a fixed grey or black vanishes on light or dark."""
+    colours = re.findall(r"stroke: (#\w+)", svg(make()))
+    assert not colours
 
 
 def test_a_title_that_is_too_long_is_noticed():
