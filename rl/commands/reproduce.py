@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -26,7 +26,7 @@ from rl.experiments.testbeds import (
 )
 from rl.make import draws_of
 from rl.sac.plan import Arm, plan_of
-from rl.task import TASKS, Task
+from rl.task import CONTROL_S, TASKS, Task
 from sim.view.video import Video, check_video
 from sim2real.arrays import Array
 from sim2real.errors import InputError, check_whole
@@ -71,7 +71,8 @@ def run(options: argparse.Namespace) -> int:
     inputs += options.swims if "calibration" in content else []
     inputs += [options.reality] if {"turn", "pentagram"} & content.keys() else []
     if content.keys() - {"calibration", "learning-curves"}:
-        chosen = [Path(with_price(name)[0]) for name in options.policies or ()]
+        usual = [str(_GAITS)] if "pentagram" in content else []
+        chosen = [Path(with_price(name)[0]) for name in options.policies or usual]
         inputs += [path for path in chosen if path.exists()]
         inputs += sorted(_best(options.run).glob("policy*.*"))
     note = provenance(inputs, options.seed)
@@ -90,8 +91,8 @@ def learning_curves(options: argparse.Namespace, _: Fish) -> tuple[Section, Any]
     figure = _figure(options, "learning-curves", curves_figure({"policy": folders}))
     last = {folder.name: float(read_progress(folder)["mean_return"][-1]) for folder in folders}
     lead = (
-        f"{len(folders)} agents of {options.run}: mean of the episodes that ended in training, "
-        "and its standard deviation over the agents, shaded."
+        f"{len(folders)} agents of {options.run}: mean of the last 64 episodes that ended in "
+        "training, and its standard deviation over the agents, shaded."
     )
     return Section("Learning curves", lead, [figure]), last
 
@@ -110,14 +111,15 @@ def stages(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     swims = trials.run(TASKS["zones"], makers, options.seed)
     ways = {name: _paths(one) for name, one in swims.items()}
     rows = {name: summary(one, TASKS["zones"]) for name, one in swims.items()}
-    notes = {k: f"{_steps(x) or last:,} steps".replace(",", " ") for k, x in files.items()}
-    figure = _figure(options, "stages", zones_figure(ways, notes))
-    arrive = ", ".join(f"{100 * row['success']:.0f} %" for row in rows.values())
+    notes = {name: f"{_steps(file) or last:,} steps" for name, file in files.items()}
+    caption = "Paths of the head; a dot is where a swim ended. Targets are not drawn."
+    figure = _figure(options, "stages", zones_figure(ways, notes), caption)
+    arrive = ", ".join(f"{100 * row['success']:.0f} % ({name})" for name, row in rows.items())
     lead = (
         f"{trials.episodes} swims of each policy that {agent} kept, from a start in the red zone "
         f"to a target in the green one; there arrive {arrive}."
     )
-    return Section("Stages of training", lead, [figure, _table(rows, notes)]), rows
+    return Section("Stages of training", lead, [figure, _table(swims, "zones", notes)]), rows
 
 
 def calibration(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
@@ -136,10 +138,11 @@ def calibration(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
         one = Compared(swim, signals, np.unwrap(track[0, :, 2]))
         shown.append(one)
         errors[swim.name] = one.errors()
-    figure = _figure(options, "calibration", compared_figure(shown))
-    rows = [(name, *(f"{x:.3g}" for x in row.values())) for name, row in errors.items()]
+    caption = "All joints have the same command; joint 1, nearest to the head, is shown."
+    figure = _figure(options, "calibration", compared_figure(shown), caption)
+    rows = [(name, *(f"{x:#.3g}" for x in row.values())) for name, row in errors.items()]
     table = Table(("swim", *next(iter(errors.values()))), rows, "Root mean square errors.")
-    lead = "Measured (red) and simulated (blue) from the recorded commands."
+    lead = "Measured (red) and simulated (blue, dashed) from the recorded commands."
     return Section("Calibration", lead, [figure, table]), errors
 
 
@@ -149,14 +152,17 @@ def turn(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
 
     check_video(options.out / "turn.mp4")
     policy = (options.policies or [str(_policy(_best(options.run)))])[0]
-    reels, rows, ways = {}, {}, {}
+    reels, trials, ways = {}, {}, {}
     for name in ("simulation", "reality"):
         reel = Reel()
         swims = _swims(options, fish, name, TASKS["turn"], [policy], options.episodes or 3, reel)
-        reels[name], rows[name] = reel, summary(swims[policy], TASKS["turn"])
+        reels[name], trials[name] = reel, swims[policy]
         ways[name] = _paths(swims[policy])[0]
     target = swims[policy].targets[0, 0]
-    figure = _figure(options, "turn", stills_figure(reels, list(ways.values()), target))
+    rows = {name: summary(one, TASKS["turn"]) for name, one in trials.items()}
+    caption = "A square of the grid is 0.25 m wide. A swim that has arrived keeps its last picture."
+    stills = stills_figure(reels, list(ways.values()), target)
+    figure = _figure(options, "turn", stills, caption)
     beside = list(in_step(list(reels.values())))
     for file in ("turn.mp4", "turn.gif"):
         with Video(options.out / file) as video:
@@ -167,10 +173,12 @@ def turn(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     apart = float(np.sqrt(np.square(first - second).sum(axis=1).mean()))
     lead = (
         f"{shown(policy)} in its simulator and in {options.reality.name}, from the same start: the "
-        f"target is 1.5 m behind. The heads are {100 * apart:.0f} cm apart (root mean square)."
+        "target is 1.5 m behind. In the first trial the heads are "
+        f"{100 * apart:.0f} cm apart (root mean square)."
     )
     film = Shown((options.out / "turn.gif").read_bytes(), "Film: simulation left, reality right")
-    return Section("The turn", lead, [figure, film, _table(rows, {})]), {**rows, "apart_m": apart}
+    blocks = [figure, film, _table(trials, "turn", {})]
+    return Section("The turn", lead, blocks), {**rows, "apart_m": apart}
 
 
 def pentagram(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
@@ -180,18 +188,19 @@ def pentagram(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     chosen = options.policies or [str(_policy(_best(options.run))), "pnl", "adrc", str(_GAITS)]
     task, repeats = TASKS["pentagram"], options.episodes or 3
     swims = _swims(options, fish, "reality", task, chosen, repeats)
-    paths = _figure(options, "pentagram", trajectories(swims))
+    caption = "Red: the first trial, with its time; grey: the others, up to four."
+    paths = _figure(options, "pentagram", trajectories(swims), caption)
     figures = {shown(name): measured(one, task) for name, one in swims.items()}
     bars = _figure(options, "pentagram-bars", bars_figure(figures))
-    rows = {shown(name): summary(one, task) for name, one in swims.items()}
+    swims = {shown(name): one for name, one in swims.items()}
+    rows = {name: summary(one, task) for name, one in swims.items()}
     for name, row in rows.items():
         print(table_line(name, row))
     lead = (
         f"{repeats} trials of each controller in {options.reality.name}, the same starts for all; "
-        "the bars are means, the lines standard deviations. A trial that does not arrive counts "
-        f"with the full {task.steps / 50:.0f} s."
+        "the bars are means, the lines standard deviations."
     )
-    return Section("The pentagram", lead, [paths, bars, _table(rows, {})]), rows
+    return Section("The pentagram", lead, [paths, bars, _table(swims, "pentagram", {})]), rows
 
 
 RESULTS: dict[str, Callable[[argparse.Namespace, Fish], tuple[Section, Any]]] = {
@@ -219,7 +228,7 @@ def _swims(
     trials = DrawnTrials(fish.robot, fish.model)
     who = Controllers([trials.maker(name)(repeats) for name in policies], repeats)
     starts = same_starts(task, len(policies), repeats, options.seed, len(fish.robot.joints))
-    watcher = unwatched if reel is None else partial(Film, reel, name=where)
+    watcher = unwatched if reel is None else partial(Film, reel, name=where, drawn_for=480)
     episodes = testbed.swim(who, fish.robot, task, starts, options.seed, watcher)
     return {name: episodes.of(who.owner == k) for k, name in enumerate(policies)}
 
@@ -256,23 +265,34 @@ def _paths(swims: Episodes) -> list[Array]:
     return [swims.pose[:, e, :2] for e in range(len(swims.steps))]
 
 
-def _figure(options: argparse.Namespace, name: str, figure: Figure) -> Block:
+def _figure(options: argparse.Namespace, name: str, figure: Figure, caption: str = "") -> Block:
     """The figure for the page, also as ``NAME.png``."""
     save_png(figure, options.out / f"{name}.png")
-    return Picture(svg(figure))
+    return Picture(svg(figure), caption)
 
 
-def _table(rows: dict[str, dict[str, Any]], notes: dict[str, str]) -> Table:
-    """Figures of controllers: means and standard errors."""
-    cells = [
-        (
-            f"{name}\n{notes[name]}" if name in notes else name,
-            f"{100 * row['success']:.0f} %", f"{row['time_s']:.2f} ± {row['time_error_s']:.2f}",
-            f"{row['energy']:,.0f} ± {row['energy_error']:,.0f}", f"{row['reward']:.1f}",
-            "-" if row["faced_target_s"] is None else f"{row['faced_target_s']:.2f}",
-        )
-        for name, row in rows.items()
-    ]  # fmt: skip
-    labels = [FIGURES[name].label for name in ("time_s", "energy", "reward")]
-    header = ("controller", "arrives", *labels, "faces the target (s)")
-    return Table(header, cells, "Means and standard errors.")
+def _table(swims: Mapping[str, Episodes], task: str, notes: Mapping[str, str]) -> Table:
+    """Figures of controllers: means and standard errors; of the turn also when it is done."""
+    names = ("time_s", "energy", "reward")
+    header, cells = ["controller", "arrives", *(FIGURES[name].label for name in names)], []
+    if task == "turn":
+        header.append("faces the target (s)")
+    for name, one in swims.items():
+        figures = measured(one, TASKS[task])
+        row = [f"{name}\n{notes[name]}" if name in notes else name]
+        row.append(f"{one.success.sum()} of {len(one.steps)}")
+        row += [_spread(figures[name], FIGURES[name].digits) for name in names]
+        cells.append([*row, _spread(one.faced_s(), ".2f")][: len(header)])
+    caption = (
+        "Means and standard errors. A trial that does not arrive counts with the full "
+        f"{CONTROL_S * TASKS[task].steps:.0f} s, and with its mean power until then."
+    )
+    return Table(header, cells, caption)
+
+
+def _spread(values: Array, digits: str) -> str:
+    """Mean and standard error of the finite values."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return "-"
+    return f"{known.mean():{digits}} ± {known.std() / np.sqrt(known.size):{digits}}"

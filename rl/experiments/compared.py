@@ -48,17 +48,23 @@ class Compared:
 def compared_figure(swims: Sequence[Compared]) -> Figure:
     """A column for each swim, with surge, sway, yaw and the first joint over time."""
     with house_style():
-        figure = new_figure(560, "Measured and simulated swims")
+        figure = new_figure(580, "Measured and simulated swims")
         panels = figure.subplots(4, len(swims), squeeze=False, sharex="col", sharey="row")
         for column, one in zip(panels.T, swims, strict=True):
-            for axes, (label, pair) in zip(column, one.rows().items(), strict=True):
+            for axes, (label, (measured, simulated)) in zip(
+                column, one.rows().items(), strict=True
+            ):
                 if label.startswith("joint"):
-                    axes.plot(one.swim.t, one.swim.command[:, 0], color=INK, lw=0.7)
-                for values, colour in zip(pair, (MEASURED, SIMULATED), strict=True):
-                    axes.plot(one.swim.t, values, color=colour, lw=1.0)
+                    axes.plot(
+                        one.swim.t, one.swim.command[:, 0], color=INK, lw=0.6, label="command"
+                    )
+                axes.plot(one.swim.t, measured, color=MEASURED, lw=1.0, label="measured")
+                axes.plot(one.swim.t, simulated, "--", color=SIMULATED, lw=1.2, label="simulated")
                 axes.set_title(label)
             column[0].set_title(one.swim.name, loc="right", color=INK)
             column[-1].set_xlabel("time (s)")
+        key = panels[-1, -1].get_legend_handles_labels()
+        figure.legend(*key, loc="outside upper left", ncols=3)
     return figure
 
 
@@ -80,6 +86,7 @@ def stills_figure(
                 axes.imshow(reel[min(k, len(reel) - 1)], extent=ends)
                 axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xticks=[], yticks=[])
                 axes.set_title(f"{k / FRAMES_PER_S:.1f} s", color=INK)
+                axes.spines[:].set(visible=True)
             row[0].set_ylabel(name)
     return figure
 

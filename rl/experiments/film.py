@@ -45,11 +45,17 @@ class Reel(list[Picture]):
 
 
 class Film:
-    """The part of a video that shows one policy's first robot, ``width`` pixels wide (even)."""
+    """The part of a video that shows one policy's first robot, ``width`` pixels wide (even).
 
-    def __init__(self, video: Frames, world: World, name: str, *, width: int = 0) -> None:
+    ``drawn_for`` is the width at which letters are 30 pixels high.
+    """
+
+    def __init__(
+        self, video: Frames, world: World, name: str, *, width: int = 0, drawn_for: int = _DRAWN_FOR
+    ) -> None:
         # by default three quarters of the video's, as the pool is about as high as it is wide
-        self._camera = _Camera(world, name, width or 2 * round(0.75 * video.width / 2))
+        width = width or 2 * round(0.75 * video.width / 2)
+        self._camera = _Camera(world, name, width, drawn_for)
         self._video, self._taken = video, 0
         self._image: Picture | None = None
 
@@ -76,8 +82,8 @@ class Film:
 class _Camera:
     """Follows the first robot of a world from above, from its next start on."""
 
-    def __init__(self, world: World, name: str, width: int) -> None:
-        self._world, self._name = world, name
+    def __init__(self, world: World, name: str, width: int, drawn_for: int = _DRAWN_FOR) -> None:
+        self._world, self._name, self._drawn_for = world, name, drawn_for
         length, breadth = (side + 2 * MARGIN_M for side in world.task.domain_m)
         self._pixels = width / length
         height = 2 * round(breadth * self._pixels / 2)
@@ -119,7 +125,7 @@ class _Camera:
             draw_ring(canvas, target, world.task.arrive_m, x, y, TARGET, opacity)
         blend(canvas, 0.8 * self._way, INK)
         draw_robot(canvas, hull_of(simulator.robot), links, x, y)
-        lettering = Lettering(np.rint(canvas).astype(np.uint8), _DRAWN_FOR)
+        lettering = Lettering(np.rint(canvas).astype(np.uint8), self._drawn_for)
         lettering.write(lettering.left, lettering.top, self._name, "lt", large=True)
         caption = f"{clock:.2f} s"
         if world.task.waypoints > 1:

@@ -3,6 +3,7 @@
 import argparse
 import json
 import pickle
+import re
 import shutil
 from pathlib import Path
 
@@ -68,7 +69,9 @@ def test_what_the_paper_shows_is_one_command(tmp_path, capsys, monkeypatch):
     for name in (*RESULTS, "pentagram-bars"):
         assert (out / f"{name}.png").stat().st_size > 5000
     assert (out / "turn.mp4").exists()
-    assert "SHA-256" in (out / "index.html").read_text()
+    page = (out / "index.html").read_text()
+    assert "SHA-256" in page and "discrete-cpg/policy.zip" in page
+    assert re.search(r"0 of 2</td>\s*<td[^>]*>1\.20 ± 0\.00</td>", page)
     capsys.readouterr()
     assert main([*call[:-4], "--out", str(out), "--run", str(tmp_path / "none")]) == 2
     assert "no progress.csv" in capsys.readouterr().err
