@@ -80,15 +80,12 @@ def run(options: argparse.Namespace) -> int:
 
 def table_line(name: str, row: dict[str, Any]) -> str:
     """One line of the table."""
-
-    def number(key: str, unit: str, digits: int = 2) -> str:
-        return "-" if row[key] is None else f"{row[key]:.{digits}f} {unit}".rstrip()
-
+    faced = row["faced_target_s"]
     return (
         f"{name}: {100 * row['success']:.0f} % of {row['episodes']} arrive, "
-        f"{number('waypoints', '', 1)} waypoints, time {number('time_s', 's')}, "
-        f"reward {number('reward', '')}, energy {number('energy', 'rad2/s2', 0)}, "
-        f"faces the target after {number('faced_target_s', 's')}"
+        f"{row['waypoints']:.1f} waypoints, time {row['time_s']:.2f} s, "
+        f"reward {row['reward']:.2f}, energy {row['energy']:.0f} rad2/s2, "
+        f"faces the target after {'-' if faced is None else f'{faced:.2f} s'}"
     )
 
 

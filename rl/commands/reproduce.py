@@ -27,6 +27,7 @@ from rl.experiments.testbeds import (
 from rl.make import draws_of
 from rl.sac.plan import Arm, plan_of
 from rl.task import CONTROL_S, TASKS, Task
+from sim.view.canvas import GRID_M
 from sim.view.video import Video, check_video
 from sim2real.arrays import Array
 from sim2real.errors import InputError, check_whole
@@ -119,7 +120,8 @@ def stages(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
         f"{trials.episodes} swims of each policy that {agent} kept, from a start in the red zone "
         f"to a target in the green one; there arrive {arrive}."
     )
-    return Section("Stages of training", lead, [figure, _table(swims, "zones", notes)]), rows
+    table = _table({f"{name}\n{notes[name]}": one for name, one in swims.items()}, "zones")
+    return Section("Stages of training", lead, [figure, table]), rows
 
 
 def calibration(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
@@ -138,8 +140,7 @@ def calibration(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
         one = Compared(swim, signals, np.unwrap(track[0, :, 2]))
         shown.append(one)
         errors[swim.name] = one.errors()
-    caption = "All joints have the same command; joint 1, nearest to the head, is shown."
-    figure = _figure(options, "calibration", compared_figure(shown), caption)
+    figure = _figure(options, "calibration", compared_figure(shown), "Joint 1 is the foremost.")
     rows = [(name, *(f"{x:#.3g}" for x in row.values())) for name, row in errors.items()]
     table = Table(("swim", *next(iter(errors.values()))), rows, "Root mean square errors.")
     lead = "Measured (red) and simulated (blue, dashed) from the recorded commands."
@@ -152,32 +153,30 @@ def turn(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
 
     check_video(options.out / "turn.mp4")
     policy = (options.policies or [str(_policy(_best(options.run)))])[0]
-    reels, trials, ways = {}, {}, {}
-    for name in ("simulation", "reality"):
-        reel = Reel()
-        swims = _swims(options, fish, name, TASKS["turn"], [policy], options.episodes or 3, reel)
-        reels[name], trials[name] = reel, swims[policy]
-        ways[name] = _paths(swims[policy])[0]
-    target = swims[policy].targets[0, 0]
-    rows = {name: summary(one, TASKS["turn"]) for name, one in trials.items()}
-    caption = "A square of the grid is 0.25 m wide. A swim that has arrived keeps its last picture."
-    stills = stills_figure(reels, list(ways.values()), target)
+    task, repeats = TASKS["turn"], options.episodes or 3
+    reels = {"simulation": Reel(), "reality": Reel()}
+    trials: dict[str, Episodes] = {}
+    for name, reel in reels.items():
+        (trials[name],) = _swims(options, fish, name, task, [policy], repeats, reel).values()
+    ways = [_paths(one)[0] for one in trials.values()]
+    rows = {name: summary(one, task) for name, one in trials.items()}
+    caption = f"The grid is of {GRID_M:g} m. A swim that has arrived keeps its last picture."
+    stills = stills_figure(reels, ways, trials["reality"].targets[0, 0])
     figure = _figure(options, "turn", stills, caption)
     beside = list(in_step(list(reels.values())))
     for file in ("turn.mp4", "turn.gif"):
         with Video(options.out / file) as video:
             for picture in beside:
                 video.add(picture)
-    shared = min(np.isfinite(way[:, 0]).sum() for way in ways.values())
-    first, second = (way[:shared] for way in ways.values())
+    shared = min(np.isfinite(way[:, 0]).sum() for way in ways)
+    first, second = (way[:shared] for way in ways)
     apart = float(np.sqrt(np.square(first - second).sum(axis=1).mean()))
     lead = (
         f"{shown(policy)} in its simulator and in {options.reality.name}, from the same start: the "
-        "target is 1.5 m behind. In the first trial the heads are "
-        f"{100 * apart:.0f} cm apart (root mean square)."
+        f"target is 1.5 m behind. In the first trial heads are {100 * apart:.0f} cm apart (RMS)."
     )
     film = Shown((options.out / "turn.gif").read_bytes(), "Film: simulation left, reality right")
-    blocks = [figure, film, _table(trials, "turn", {})]
+    blocks = [figure, film, _table(trials, "turn")]
     return Section("The turn", lead, blocks), {**rows, "apart_m": apart}
 
 
@@ -190,9 +189,8 @@ def pentagram(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     swims = _swims(options, fish, "reality", task, chosen, repeats)
     caption = "Red: the first trial, with its time; grey: the others, up to four."
     paths = _figure(options, "pentagram", trajectories(swims), caption)
-    figures = {shown(name): measured(one, task) for name, one in swims.items()}
+    figures = {name: measured(one, task) for name, one in swims.items()}
     bars = _figure(options, "pentagram-bars", bars_figure(figures))
-    swims = {shown(name): one for name, one in swims.items()}
     rows = {name: summary(one, task) for name, one in swims.items()}
     for name, row in rows.items():
         print(table_line(name, row))
@@ -200,7 +198,7 @@ def pentagram(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
         f"{repeats} trials of each controller in {options.reality.name}, the same starts for all; "
         "the bars are means, the lines standard deviations."
     )
-    return Section("The pentagram", lead, [paths, bars, _table(swims, "pentagram", {})]), rows
+    return Section("The pentagram", lead, [paths, bars, _table(swims, "pentagram")]), rows
 
 
 RESULTS: dict[str, Callable[[argparse.Namespace, Fish], tuple[Section, Any]]] = {
@@ -215,7 +213,7 @@ def _swims(
     options: argparse.Namespace, fish: Fish, where: str, task: Task, policies: Sequence[str],
     repeats: int, reel: Reel | None = None,
 ) -> dict[str, Episodes]:  # fmt: skip
-    """Trials from the same starts in ``simulation`` or ``reality``; a ``reel`` films the first."""
+    """Trials in ``simulation`` or ``reality``, by names shown; a ``reel`` films the first."""
     plan = plan_of(
         {}, seeds=(0,), fidelity=options.fidelity, device=options.device, cell_m=options.cell_m,
         threads=options.threads,
@@ -228,9 +226,9 @@ def _swims(
     trials = DrawnTrials(fish.robot, fish.model)
     who = Controllers([trials.maker(name)(repeats) for name in policies], repeats)
     starts = same_starts(task, len(policies), repeats, options.seed, len(fish.robot.joints))
-    watcher = unwatched if reel is None else partial(Film, reel, name=where, drawn_for=480)
+    watcher = unwatched if reel is None else partial(Film, reel, name=where)
     episodes = testbed.swim(who, fish.robot, task, starts, options.seed, watcher)
-    return {name: episodes.of(who.owner == k) for k, name in enumerate(policies)}
+    return {shown(name): episodes.of(who.owner == k) for k, name in enumerate(policies)}
 
 
 def _agents(folder: Path, file: str = "progress.csv") -> list[Path]:
@@ -271,28 +269,23 @@ def _figure(options: argparse.Namespace, name: str, figure: Figure, caption: str
     return Picture(svg(figure), caption)
 
 
-def _table(swims: Mapping[str, Episodes], task: str, notes: Mapping[str, str]) -> Table:
-    """Figures of controllers: means and standard errors; of the turn also when it is done."""
+def _table(swims: Mapping[str, Episodes], task: str) -> Table:
+    """Figures of controllers; only the turn has a time at which the target is faced."""
     names = ("time_s", "energy", "reward")
-    header, cells = ["controller", "arrives", *(FIGURES[name].label for name in names)], []
-    if task == "turn":
-        header.append("faces the target (s)")
+    header = ["controller", "arrives", *(FIGURES[x].label for x in names), "faces the target (s)"]
+    cells, columns = [], len(header) - (task != "turn")
     for name, one in swims.items():
         figures = measured(one, TASKS[task])
-        row = [f"{name}\n{notes[name]}" if name in notes else name]
-        row.append(f"{one.success.sum()} of {len(one.steps)}")
-        row += [_spread(figures[name], FIGURES[name].digits) for name in names]
-        cells.append([*row, _spread(one.faced_s(), ".2f")][: len(header)])
-    caption = (
-        "Means and standard errors. A trial that does not arrive counts with the full "
-        f"{CONTROL_S * TASKS[task].steps:.0f} s, and with its mean power until then."
-    )
-    return Table(header, cells, caption)
+        row = [name, f"{one.success.sum()} of {len(one.steps)}"]
+        row += [_spread(figures[x], FIGURES[x].digits) for x in names]
+        cells.append([*row, _spread(one.faced_s(), ".2f")][:columns])
+    limit = f"{CONTROL_S * TASKS[task].steps:.0f} s, with the mean power until then"
+    caption = f"Means and standard errors. A trial that does not arrive counts with {limit}."
+    return Table(header[:columns], cells, caption)
 
 
 def _spread(values: Array, digits: str) -> str:
     """Mean and standard error of the finite values."""
-    known = values[np.isfinite(values)]
-    if not known.size:
+    if not (known := values[np.isfinite(values)]).size:
         return "-"
     return f"{known.mean():{digits}} ± {known.std() / np.sqrt(known.size):{digits}}"

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from rl.experiments.ablation import ARMS, PAPER, model_of
-from rl.experiments.paths import aligned, paths_figure
+from rl.experiments.paths import aligned, bar_panels, paths_figure
 from rl.experiments.statistics import OUTCOME, bootstrap, differences, seeds_needed
 from rl.sac.checkpoint import draw_curves
 from rl.sac.plan import Plan
@@ -20,7 +20,7 @@ from sim2real.output import write_json, write_whole
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Note, Section, Table, Text, write_page
 from sim2real.report.page import Figure as Picture
-from sim2real.report.style import ACCENT, FAINT, INK, house_style, new_figure
+from sim2real.report.style import ACCENT, FAINT, INK
 from sim2real.robot import Robot
 
 if TYPE_CHECKING:
@@ -34,17 +34,13 @@ _RETURNS = (
     "energy (rad²/s²) are those of all turns: a turn that does not arrive counts with the full "
     "duration of the task."
 )
-_DIFFERENCES = (
+_LOSSES = (
     "With all techniques minus each arm, in reality, agents paired by seed: mean and 90 % "
     "interval, positive if the arm is worse. A loss of return is significant if its interval "
     "excludes zero. Needed are the seeds for an interval narrower than a third of the largest loss "
     "of return."
 )
-_BARS = "Means, and 90 % bootstrap intervals over agents and repeats, as in the table."
-_TURNS = (
-    "Trajectories of the head in reality: two turns of each agent, from the dot to the circle. "
-    "What lies outside of a panel is not shown."
-)
+_TURNS = "Paths of the head in reality, two of each agent. What lies outside of a panel is cut."
 _VALUES = (
     "FishGym (Liu et al., ICRA 2022) drives the joints of its koi by torque of at most 2 N m and "
     "gives all links the density 1080 kg/m³ (github.com/dongfangliu/gym-fish). Here commands are "
@@ -148,8 +144,7 @@ def tables(results: Results) -> dict[str, Table]:
     ]  # fmt: skip
     titles = ("arm", "loses return, by seed", "significant", "sd over pairs", "pairs", "needed",
               "loses paper's reward")  # fmt: skip
-    made = Table(header, returns, _RETURNS), Table(titles, lost, _DIFFERENCES)
-    return dict(zip(("returns", "losses"), made, strict=True))
+    return {"returns": Table(header, returns, _RETURNS), "losses": Table(titles, lost, _LOSSES)}
 
 
 def _ends(values: Sequence[float], shape: str = ".2f") -> str:
@@ -184,12 +179,11 @@ def sections(results: Results, plan: Plan, values: Table) -> list[Section]:
         f"reality. Simulation: {results['said']['simulation']}. "
         f"Reality: {results['said']['reality']}."
     )
-    effect: list[Block] = [picture(return_figure(table), _BARS), made["returns"]]
-    effect += [Text(order_text(table)), values]
+    effect: list[Block] = [picture(return_figure(table), "Intervals as in the table.")]
+    effect += [made["returns"], Text(order_text(table)), values]
+    kept = retention_text({row["arm"]: row for row in table})
     return [
-        Section(
-            "Effect of each technique", retention_text({row["arm"]: row for row in table}), effect
-        ),
+        Section("Effect of each technique", kept, effect),
         Section("Loss without each technique", "", lost),
         Section("The turns", "", [picture(trajectory_figure(results), _TURNS)]),
         Section("Method", "", [method]),
@@ -240,36 +234,23 @@ def order_text(table: list[dict[str, Any]]) -> str:
                 f"The measures disagree on {ARMS[arm].title}: against all techniques it has "
                 f"{paper:+.1f} of the paper's reward, {0.001 * saved:+.1f} of it by its energy "
                 f"({one['energy']:.0f} instead of {first['energy']:.0f}), with turns "
-                f"{abs(later):.1f} s {'longer' if later > 0 else 'shorter'}."
+                f"{abs(later):.1f} s {'longer' if later > 0 else 'shorter'}. The paper's reward "
+                "has no price of time: an arm that beats slowly scores by spending less."
             )
-            if min(paper, saved) > 0:
-                slow = "has no price of time: an arm that beats slowly scores by spending less."
-                texts.append(f"The paper's reward {slow}")
     return " ".join(texts)
 
 
 def return_figure(table: list[dict[str, Any]]) -> Figure:
     """Return and the paper's reward of each arm in simulation and in reality, with intervals."""
-    bars = (("simulation", FAINT, -0.17), ("reality", ACCENT, 0.17))
-    labels = {OUTCOME: "discounted return of a 180° turn", "paper": "the paper's reward"}
-    with house_style():
-        figure = new_figure(60 + 46 * len(table), "Two measures of each arm")
-        panels = figure.subplots(1, 2, sharey=True)
-        for axes, (name, label) in zip(panels, labels.items(), strict=True):
-            for testbed, colour, offset in bars:
-                y = np.arange(len(table)) + offset
-                mean, low, high = np.array([row[testbed][name] for row in table]).T
-                axes.barh(y, mean, 0.3, color=colour, label=testbed)
-                error = [mean - low, high - mean]
-                axes.errorbar(mean, y, xerr=error, fmt="none", ecolor=INK, lw=1, capsize=2)
-            axes.grid(axis="x")
-            axes.grid(visible=False, axis="y")
-            axes.margins(x=0.04)
-            axes.set_xlabel(label, loc="right")
-        axes.set_yticks(range(len(table)), [ARMS[row["arm"]].title for row in table])
-        axes.invert_yaxis()
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2)
-    return figure
+    measures = {"discounted return of a 180° turn": OUTCOME, "the paper's reward": "paper"}
+    panels = {
+        label: [
+            (testbed, colour, np.array([row[testbed][name] for row in table]).T)
+            for testbed, colour in (("simulation", FAINT), ("reality", ACCENT))
+        ]
+        for label, name in measures.items()
+    }
+    return bar_panels("Two measures of each arm", [ARMS[row["arm"]].title for row in table], panels)
 
 
 def trajectory_figure(results: Results) -> Figure:

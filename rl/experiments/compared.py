@@ -18,9 +18,6 @@ from sim2real.report.style import INK, house_style, new_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MEASURED, SIMULATED = "tab:red", "tab:blue"
-"""Colours of the paper's Fig. 3."""
-
 
 @dataclass(frozen=True)
 class Compared:
@@ -46,25 +43,21 @@ class Compared:
 
 
 def compared_figure(swims: Sequence[Compared]) -> Figure:
-    """A column for each swim, with surge, sway, yaw and the first joint over time."""
+    """A column for each swim, with surge, sway, yaw and the first joint, coloured as in Fig. 3."""
     with house_style():
         figure = new_figure(580, "Measured and simulated swims")
         panels = figure.subplots(4, len(swims), squeeze=False, sharex="col", sharey="row")
         for column, one in zip(panels.T, swims, strict=True):
-            for axes, (label, (measured, simulated)) in zip(
-                column, one.rows().items(), strict=True
-            ):
+            t = one.swim.t
+            for axes, (label, pair) in zip(column, one.rows().items(), strict=True):
                 if label.startswith("joint"):
-                    axes.plot(
-                        one.swim.t, one.swim.command[:, 0], color=INK, lw=0.6, label="command"
-                    )
-                axes.plot(one.swim.t, measured, color=MEASURED, lw=1.0, label="measured")
-                axes.plot(one.swim.t, simulated, "--", color=SIMULATED, lw=1.2, label="simulated")
+                    axes.plot(t, one.swim.command[:, 0], color=INK, lw=0.6, label="command")
+                axes.plot(t, pair[0], color="tab:red", lw=1.0, label="measured")
+                axes.plot(t, pair[1], "--", color="tab:blue", lw=1.2, label="simulated")
                 axes.set_title(label)
             column[0].set_title(one.swim.name, loc="right", color=INK)
             column[-1].set_xlabel("time (s)")
-        key = panels[-1, -1].get_legend_handles_labels()
-        figure.legend(*key, loc="outside upper left", ncols=3)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=3)
     return figure
 
 

@@ -45,17 +45,12 @@ class Reel(list[Picture]):
 
 
 class Film:
-    """The part of a video that shows one policy's first robot, ``width`` pixels wide (even).
+    """The part of a video that shows one policy's first robot, ``width`` pixels wide (even)."""
 
-    ``drawn_for`` is the width at which letters are 30 pixels high.
-    """
-
-    def __init__(
-        self, video: Frames, world: World, name: str, *, width: int = 0, drawn_for: int = _DRAWN_FOR
-    ) -> None:
+    def __init__(self, video: Frames, world: World, name: str, *, width: int = 0) -> None:
         # by default three quarters of the video's, as the pool is about as high as it is wide
-        width = width or 2 * round(0.75 * video.width / 2)
-        self._camera = _Camera(world, name, width, drawn_for)
+        usual = 2 * round(0.75 * video.width / 2)
+        self._camera = _Camera(world, name, width or usual, _DRAWN_FOR if width else usual)
         self._video, self._taken = video, 0
         self._image: Picture | None = None
 

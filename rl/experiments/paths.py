@@ -75,22 +75,39 @@ def zones_figure(ways: Mapping[str, Sequence[Array]], notes: Mapping[str, str]) 
 
 def bars_figure(figures: Mapping[str, Mapping[str, Array]]) -> Figure:
     """Mean and standard deviation of time and energy of each controller's trials, as bars."""
+    colours, panels = [ACCENT, *[FAINT] * (len(figures) - 1)], {}
+    for name in ("time_s", "energy"):
+        spent = [of_name[name] for of_name in figures.values()]
+        mean, sd = np.mean(spent, axis=1), np.std(spent, axis=1)
+        panels[FIGURES[name].label] = [("", colours, np.array([mean, mean - sd, mean + sd]))]
+    return bar_panels("Time and energy of each controller", list(figures), panels)
+
+
+def bar_panels(
+    label: str, names: Sequence[str], panels: Mapping[str, Sequence[tuple[str, Any, Array]]]
+) -> Figure:
+    """Bars of N names in a panel for each quantity.
+
+    A panel has groups: name, colours, and mean and ends of an interval, shape (3, N).
+    """
     with house_style():
-        figure = new_figure(70 + 34 * len(figures), "Time and energy of each controller")
-        panels = figure.subplots(1, 2, sharey=True)
-        for axes, name in zip(panels, ("time_s", "energy"), strict=True):
-            spent = [of_name[name] for of_name in figures.values()]
-            mean, sd = np.mean(spent, axis=1), np.std(spent, axis=1)
-            colours = [ACCENT, *[FAINT] * (len(spent) - 1)]
-            spread = {"ecolor": INK, "lw": 1, "capsize": 3}
-            axes.barh(list(figures), mean, 0.6, xerr=sd, color=colours, error_kw=spread)
-            axes.xaxis.set_major_formatter("{x:,.0f}")
+        figure = new_figure(60 + 40 * len(names), label)
+        interval = {"ecolor": INK, "lw": 1, "capsize": 2}
+        drawn = figure.subplots(1, len(panels), sharey=True)
+        for axes, (title, groups) in zip(drawn, panels.items(), strict=True):
+            for k, (group, colour, (mean, low, high)) in enumerate(groups):
+                y = np.arange(len(names)) + 0.34 * (k - (len(groups) - 1) / 2)
+                error = {"xerr": [mean - low, high - mean], "error_kw": interval}
+                axes.barh(y, mean, 0.6 / len(groups), color=colour, label=group, **error)
             axes.locator_params(axis="x", nbins=5)
             axes.grid(axis="x")
             axes.grid(visible=False, axis="y")
             axes.margins(x=0.04)
-            axes.set_xlabel(FIGURES[name].label)
+            axes.set_xlabel(title)
+        axes.set_yticks(range(len(names)), names)
         axes.invert_yaxis()
+        if len(groups) > 1:
+            figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=3)
     return figure
 
 

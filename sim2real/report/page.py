@@ -175,7 +175,7 @@ def _origin(provenance: Mapping[str, Any]) -> list[tuple[str, list[str]]]:
         "seed": ["" if seed is None else str(seed)],
         "versions": [", ".join(f"{k} {v}" for k, v in provenance.get("versions", {}).items())],
         "inputs (SHA-256)": [
-            f"{Path(*Path(file).parts[-2:])}  {digest[:_SHOWN]}" for file, digest in inputs.items()
+            f"{Path(*Path(k).parts[-2:])}  {v[:_SHOWN]}" for k, v in inputs.items()
         ],
     }
     return [(label, lines) for label, lines in parts.items() if any(lines)]
