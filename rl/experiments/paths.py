@@ -149,12 +149,15 @@ def _panels(
         for axes, (name, of_name) in zip(panels, ways.items(), strict=False):
             for position, style in of_name:
                 axes.plot(*position.T, **style)
-            axes.set(aspect="equal", autoscale_on=not shared, xlabel="x (m)", ylabel="y (m)")
+            axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
             axes.locator_params(nbins=5)
             axes.set_title(name, color=INK)
             mark(axes, name)
             if shared:
                 axes.label_outer()
+        for axes in panels[len(ways) - columns : len(ways)]:  # none is visible below them
+            axes.tick_params(labelbottom=True)
+            axes.set_xlabel("x (m)")
     return figure
 
 
@@ -163,4 +166,4 @@ def aligned(path: Array, target: Array, colour: str = INK) -> Way:
     moved = path - path[0]
     c, s = (target - path[0]) / np.linalg.norm(target - path[0])
     style = {"color": colour, "alpha": 0.7, "lw": 0.7}
-    return moved @ np.array([[-c, -s], [-s, c]]), style
+    return moved @ np.array([[-c, s], [-s, -c]]), style

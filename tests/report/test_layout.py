@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rl.experiments.ablation_report import OUTCOME, return_figure
-from rl.experiments.paths import bars_figure
+from rl.experiments.paths import aligned, bars_figure, paths_figure
 from sim2real.report.diagnosis_plots import bar_figure
 from sim2real.report.drawing import svg
 from sim2real.report.identification import parameter_figure
@@ -80,6 +80,14 @@ def test_intervals_are_visible_on_dark_pages(make):
     """Every line has a colour of the page: a fixed grey or black vanishes on light or dark."""
     colours = re.findall(r"stroke: (#\w+)", svg(make()))
     assert not colours
+
+
+def test_paths_are_all_in_view_where_no_limits_are_given():
+    way = aligned(np.array([[0.0, 0.0], [1.0, 0.3], [3.0, 0.0]]), np.array([2.0, 0.0]))
+    figure = paths_figure(dict.fromkeys("abc", [way]), "paths", away_m=[2.0])
+    for axes in figure.axes[:3]:
+        assert axes.get_xlim()[0] <= -3.0 and axes.get_ylim()[0] <= -0.3
+    assert [axes.get_xlabel() for axes in figure.axes[:3]] == ["", "x (m)", "x (m)"]
 
 
 def test_a_title_that_is_too_long_is_noticed():
