@@ -281,9 +281,11 @@ def minimise(
         known = np.array([latest[k] for k in index.tolist()]) if latest else None
         trial = variants(servos[index].at(x))
         normal = batch.evaluate(trial, blocks=blocks, autoregression=noise, known=known)
-        total = normal.gram.sum(axis=1)
+        gram = np.where(np.isfinite(normal.gram), normal.gram, 0.0)  # a varied servo may diverge
+        gram[..., 0, 0] = normal.gram[..., 0, 0]
+        total = gram.sum(axis=1)
         share = (normal.count / np.maximum(total[:, 0, 0], 1e-300))[:, None]
-        aside = {"gram": normal.gram, "noise": normal.autoregression, "count": normal.count}
+        aside = {"gram": gram, "noise": normal.autoregression, "count": normal.count}
         loss = -profile_loglikelihood(total[:, 0, 0], normal.count)
         return Expansion(loss, share * total[:, 1:, 0], share[:, None] * total[:, 1:, 1:], aside)
 

@@ -86,6 +86,22 @@ def test_white_noise_can_be_asked_for_and_inertia_comes_from_the_recording(batch
     np.testing.assert_allclose(white.servos.theta[0, COLUMNS], TRUTH, rtol=0.05)
 
 
+def test_a_varied_servo_that_diverges_leaves_the_other_parameters_determined(batch, monkeypatch):
+    evaluate = batch.evaluate
+
+    def diverging(problems, **options):
+        normal = evaluate(problems, **options)
+        if not options.get("alone"):
+            normal.gram[:, :, 2] = normal.gram[:, :, :, 2] = np.nan
+        return normal
+
+    monkeypatch.setattr(batch, "evaluate", diverging)
+    fits = minimise(batch, servos(FAR), iterations=20, blocks=5)
+    assert np.isfinite(fits.variances).all()
+    assert fits.servos.theta[0, 1] == FAR[1]
+    assert (fits.variances[[0, 2, 3]] > 0).all()
+
+
 def test_variants_step_towards_the_inside():
     edge = servos(HIGH, LOW)
     shifted = variants(edge)
