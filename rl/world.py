@@ -187,7 +187,8 @@ class World:
 
     def _target_distance(self) -> Tensor:
         """True distance from each head to its target."""
-        return torch.linalg.vector_norm(self._target() - self.pose[:, :2], dim=1)  # type: ignore[no-any-return]
+        away: Tensor = torch.linalg.vector_norm(self._target() - self.pose[:, :2], dim=1)
+        return away
 
     def _tensor(self, values: Array) -> Tensor:
         return torch.as_tensor(np.array(values), dtype=torch.float32).to(self.device)
