@@ -50,11 +50,10 @@ def observed(past: Any, weights: Any, target: Any, limit: Any) -> Any:  # noqa: 
     """
     xp, latest, slope = _library(past), past[:, -1], (past * weights[:, None]).sum(1)
     c, s = xp.cos(latest[:, 2]), xp.sin(latest[:, 2])
-    dx, dy = target[:, 0] - latest[:, 0], target[:, 1] - latest[:, 1]
-    surge, sway = c * slope[:, 0] + s * slope[:, 1], c * slope[:, 1] - s * slope[:, 0]
-    joints = [*latest[:, 3:].T, *slope[:, 3:].T]
-    columns = [surge, sway, slope[:, 2], *joints, c * dx + s * dy, c * dy - s * dx]
-    return xp.clip(xp.stack(columns, 1), -limit, limit)
+    x, y = xp.stack([slope[:, :2], target - latest[:, :2]], 2).swapaxes(0, 1)  # (E, 2) each
+    ahead, left = c[:, None] * x + s[:, None] * y, c[:, None] * y - s[:, None] * x
+    motion = [ahead[:, :1], left[:, :1], slope[:, 2:3], latest[:, 3:], slope[:, 3:]]
+    return xp.clip(xp.concatenate([*motion, ahead[:, 1:], left[:, 1:]], 1), -limit, limit)
 
 
 def _library(array: Any) -> Any:  # noqa: ANN401 - a module
@@ -152,7 +151,8 @@ class Observer:
         """The policy's columns (E, F) from the task's (E, O); to be called before each decision."""
         xp, J, view = self._xp, len(self._low), self.view
         ahead, leftward = raw[:, -2], raw[:, -1]
-        self._bearing = bearing = self._with_hysteresis(xp.arctan2(leftward, ahead))
+        if view.scaled or view.sides:
+            self._bearing = bearing = self._with_hysteresis(xp.arctan2(leftward, ahead))
         parts = [raw]
         if view.scaled:
             distance = xp.sqrt(ahead**2 + leftward**2)
@@ -177,8 +177,10 @@ class Observer:
 
     def decide(self, action: Any) -> None:  # noqa: ANN401
         """Store decisions between -1 and 1, shape (E, J)."""
-        xp, mean = self._xp, action.mean(1)
-        self._side = xp.where(abs(mean) > STROKE, xp.sign(mean), self._side)
+        xp = self._xp
+        if self.view.sides:
+            mean = action.mean(1)
+            self._side = xp.where(abs(mean) > STROKE, xp.sign(mean), self._side)
         self._decisions = xp.concatenate([action[:, None], self._decisions[:, :-1]], 1)
 
     def set_points(self, tick: int) -> Any:  # noqa: ANN401

@@ -22,12 +22,9 @@ _HALF_M = np.array(DOMAIN_M) / 2 - 0.4
 """Starts and targets are at least 0.4 m from the walls."""
 
 
-def reward(
-    task: Task, before: Tensor, distance: Tensor, rate: Tensor, reached: Tensor, outside: Tensor
-) -> Tensor:
+def reward(task: Task, nearer: Tensor, energy: Tensor, ending: Tensor) -> Tensor:
     """10 (d[t-1] - d[t]) - 0.001 |J'|^2 + (10 on arrival, -10 on leaving the pool)."""
-    gain = task.approach * (before - distance) + bonus(task, reached, outside)
-    return gain - task.energy * effort(rate)
+    return task.approach * nearer + ending - task.energy * energy
 
 
 def bonus(task: Task, reached: Tensor, outside: Tensor) -> Tensor:

@@ -66,8 +66,10 @@ class World:
         """Place the robots at their starts; several ``draws`` share them evenly, in blocks."""
         self.simulator, self.task, self.n_envs = simulator, task, simulator.n_envs
         self._draws = [draws[e * len(draws) // self.n_envs] for e in range(self.n_envs)]
-        self._live = simulator.live()
-        self._command = from_dlpack(self._live.command)
+        live = simulator.live()
+        self._command, self._q, self._v = map(from_dlpack, (live.command, live.q, live.v))
+        rest = (live.measured, live.clock, live.stopped)
+        self._measured, self._clock, self._guard = map(from_dlpack, rest)
         self.device = self._command.device
         E, J = self._command.shape
         limits = np.array([joint.limits_rad for joint in simulator.robot.joints])
@@ -110,8 +112,7 @@ class World:
         active = (~stopped).float()
         energy = active * effort(self.rate)
         ending = active * bonus(self.task, reached, left_pool)
-        before = self._distance
-        value = active * reward(self.task, before, distance, self.rate, reached, left_pool)
+        value = reward(self.task, active * (self._distance - distance), energy, ending)
         self.waypoint += reached
         done = self.waypoint >= self.task.waypoints
         terminated = (done | left_pool) & ~stopped
@@ -144,7 +145,7 @@ class World:
         pose, joint = np.zeros((self.n_envs, 3)), np.zeros((self.n_envs, J))
         mask[environments], pose[environments], joint[environments] = True, start, bent
         simulator.reset(mask, pose, joint)
-        self._current = self._tensor(simulator.current)
+        self._current = self._tensor(np.pad(simulator.current, ((0, 0), (0, 1))))
         rows = torch.as_tensor(environments, device=self.device)
         self.targets[rows] = self._tensor(targets)
         self.waypoint[rows] = self.elapsed[rows] = 0
@@ -155,17 +156,17 @@ class World:
 
     def _read(self) -> None:
         """Read the true state from the simulator."""
-        q, v = from_dlpack(self._live.q).float(), from_dlpack(self._live.v).float()
-        clock = from_dlpack(self._live.clock).float()
-        position = q[:, :2] + self._current * clock[:, None]  # from the water's frame to the pool's
+        q, v = self._q.float(), self._v.float()
         lost = ~torch.isfinite(q).all(dim=1) | (v[:, :2].abs() > FAST_M_S).any(dim=1)
-        self._stopped = lost | (from_dlpack(self._live.stopped) >= 0)
-        self.pose = torch.nan_to_num(torch.cat([position, q[:, 2:3]], dim=1))
-        self.joint, self.rate = torch.nan_to_num(q[:, 3:]), torch.nan_to_num(v[:, 3:])
+        self._stopped = lost | (self._guard >= 0)
+        q = torch.nan_to_num(q)
+        # from the water's frame to the pool's
+        self.pose = q[:, :3] + self._current * self._clock[:, None].float()
+        self.joint, self.rate = q[:, 3:], torch.nan_to_num(v[:, 3:])
 
     def _remember(self, rows: Tensor | None = None) -> None:
         """Append the newest noisy measurement, in all environments or in ``rows``."""
-        angles = torch.nan_to_num(from_dlpack(self._live.measured).float())
+        angles = torch.nan_to_num(self._measured.float())
         measured = torch.cat([self.pose, angles], dim=1)
         measured = measured + self._sd * torch.randn(
             measured.shape, generator=self.generator, device=self.device, dtype=measured.dtype
@@ -181,11 +182,13 @@ class World:
         return observed(self._past, self._weights, target, self._bound)  # type: ignore[no-any-return]
 
     def _target(self) -> Tensor:
-        return self.targets[self._row, self.waypoint]
+        one = self.task.waypoints == 1
+        return self.targets[:, 0] if one else self.targets[self._row, self.waypoint]
 
     def _target_distance(self) -> Tensor:
         """True distance from each head to its target."""
-        return torch.sqrt(((self._target() - self.pose[:, :2]) ** 2).sum(dim=1))
+        away: Tensor = torch.linalg.vector_norm(self._target() - self.pose[:, :2], dim=1)
+        return away
 
     def _tensor(self, values: Array) -> Tensor:
         return torch.as_tensor(np.array(values), dtype=torch.float32).to(self.device)
@@ -238,5 +241,6 @@ class Decisions:
                 torch.where(active[:, None], step.final, total.final),
             )
         final = self.observer.observe(total.final)
-        seen = self.begin(total.terminated | total.truncated) if begin else final
+        ended = total.terminated | total.truncated
+        seen = self.begin(ended) if begin and ended.any() else final
         return replace(total, observation=seen, final=final)

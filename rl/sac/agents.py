@@ -58,7 +58,7 @@ class Agents:
         self._alpha_count = torch.zeros(1, device=device)
         for a, model in enumerate(self.models):
             self._share(a, model)
-        self.average = self.actor.flat.clone()
+        self.average = self.actor.flat.clone() if settings.average else self.actor.flat
         self.price = torch.zeros(
             A, 1, device=device
         )  # of energy, present, also for old transitions
@@ -127,8 +127,9 @@ class Agents:
         n, N = observation.shape[1], self.settings.memory
         rewards = torch.stack([gain, effort], dim=2)
         parts = [observation, action, rewards, following, done[..., None].float()]
-        slots = (self.position + torch.arange(n, device=self.device)) % N
-        self.memory[:, slots] = torch.cat(parts, dim=2)
+        rows, fits = torch.cat(parts, dim=2), N - self.position
+        self.memory[:, self.position : self.position + n] = rows[:, :fits]
+        self.memory[:, : max(n - fits, 0)] = rows[:, fits:]
         self.position = (self.position + n) % N
         self.set_filled(min(self.filled + n, N))
 
@@ -142,8 +143,8 @@ class Agents:
         s = self.settings
         self._rate.fill_(s.rate * (1 + (s.rate_end - 1) * share))
         initial, final = s.entropy_target
-        progress = torch.tensor(grown).clamp(max=share)
-        self._entropy.copy_(self.J * (initial + (final - initial) * progress))
+        targets = [self.J * (initial + (final - initial) * min(one, share)) for one in grown]
+        self._entropy.copy_(torch.tensor(targets))
 
     @contextmanager
     def averaged(self) -> Iterator[None]:
@@ -207,8 +208,8 @@ class Agents:
         self.critic.descend(self._rate)
 
         passed, q = self._values(self.critic, batch.observation, action)
-        index = q.argmin(dim=1, keepdim=True)
-        pick = torch.zeros(A, 2, B, device=self.device).scatter_(1, index, -1.0 / B)
+        first = (q[:, :1] <= q[:, 1:]).float() / -B  # where the first critic has the minimum
+        pick = torch.cat([first, -1 / B - first], dim=1)
         d = self.critic.backward(passed, pick.view(2 * A, B, 1), inputs_only=True)
         by_action = d.view(A, 2, B, -1)[..., -self.J :].sum(dim=1)
         # gradient of mean(alpha log p - min q) through a = tanh(mean + std noise)
@@ -222,8 +223,9 @@ class Agents:
         moments, count = self._alpha_moments, self._alpha_count
         adam(self.log_alpha, self._alpha_gradient, moments, count, self._rate)
         self.target.flat.lerp_(self.critic.flat, s.tau)
-        # weight of update t proportional to t^(1 / average - 1), normalised by the sum so far
-        self.average.lerp_(self.actor.flat, 1 / (1 + s.average * (self.actor.count - 1)))
+        if s.average:
+            # weight of update t proportional to t^(1 / average - 1), normalised by the sum so far
+            self.average.lerp_(self.actor.flat, 1 / (1 + s.average * (self.actor.count - 1)))
 
     @torch.no_grad()
     def losses(self) -> Tensor:

@@ -59,7 +59,11 @@ class Layers:
         activations = Activations([x], [])
         last = len(self.weights) - 1
         for k, (W, b) in enumerate(zip(self.weights, self.biases, strict=True)):
-            h = torch.baddbmm(b, activations.layers[-1], W.transpose(1, 2))
+            x = activations.layers[-1]
+            if W.shape[1] == 1:  # faster on a CPU than a product with one column
+                h = torch.bmm(W, x.transpose(1, 2)).transpose(1, 2) + b
+            else:
+                h = torch.baddbmm(b, x, W.transpose(1, 2))
             if self.norm and k < last:
                 unnormalised = h
                 h, mean, scale = torch.native_layer_norm(h, h.shape[2:], None, None, _NORM_EPSILON)
@@ -75,7 +79,8 @@ class Layers:
                 torch.sum(d, dim=1, keepdim=True, out=self._bias_gradients[k])
             if k == 0 and not inputs_only:
                 return d
-            d = torch.bmm(d, self.weights[k])
+            W = self.weights[k]
+            d = d * W if W.shape[1] == 1 else torch.bmm(d, W)
             if k > 0:
                 torch.ops.aten.threshold_backward.grad_input(  # in place
                     d, activations.layers[k], 0.0, grad_input=d

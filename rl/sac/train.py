@@ -68,7 +68,7 @@ def train_run(
     """Train one arm from files and JSON ``options`` of ``plan_of``; the folders of the agents.
 
     ``report`` is called with an agent's name and every new row of its progress, by column; with
-    several seeds on a CPU, which are trained in two processes, it must be a picklable function.
+    several seeds on a CPU, which are trained in several processes, it must be a picklable function.
     """
     plan = plan_of(
         options, seeds=tuple(seeds), fidelity=fidelity, device=device, cell_m=cell_m,
@@ -122,8 +122,12 @@ def train_in_parts(
     first: Sequence[Path] = (),
     report: Report | None = None,
 ) -> list[Path]:
-    """Train as ``train`` does, in two processes with every second seed: ``part-0``, ``part-1``."""
-    shares = [range(k, len(plan.seeds), 2) for k in range(min(2, len(plan.seeds)))]
+    """Train as ``train`` does, with the seeds dealt out to processes: ``part-0``, ``part-1``, ...
+
+    Of an odd number three processes share two cores more evenly than two.
+    """
+    parts = min(2 + len(plan.seeds) % 2, len(plan.seeds))
+    shares = [range(k, len(plan.seeds), parts) for k in range(parts)]
     trainings = [
         partial(
             train, folder / f"part-{k}", robot, arms,
@@ -231,7 +235,10 @@ def _train(
         if any(before < share * plan.steps <= progress.steps for share in plan.kept):
             save_policies(folder, agents, progress, names, f"policy-{progress.steps}.zip")
 
-    with bar, ThreadPoolExecutor(1) if plan.device == "cpu" else nullcontext() as pool:
+    # of a single robot in the twin the hand-over to a thread takes longer than the simulation
+    beside = plan.device == "cpu" and (plan.envs > 1 or plan.fidelity == "fluid")
+    quick = torch.inference_mode(plan.device == "cpu")  # less work for each small tensor
+    with bar, quick, ThreadPoolExecutor(1) if beside else nullcontext() as pool:
         while progress.steps < plan.steps:
             _segment(decisions, agents, plan, progress, bar, pool, noted, swims=bool(first))
             save(folder, agents, progress, names)
@@ -278,7 +285,7 @@ def _segment(
             step = decisions.step(decision)
             agents.learn(int(due))
         else:
-            deciding = pool.submit(decisions.step, decision)
+            deciding = pool.submit(torch.inference_mode()(decisions.step), decision)
             agents.learn(int(due))
             step = deciding.result()
         due -= int(due)
@@ -315,7 +322,10 @@ class Tally:
         self.steps += 1
         self._return += step.reward
         self._length += 1
-        ended = (step.terminated | step.truncated).float()
+        ended = step.terminated | step.truncated
+        if not ended.any():
+            return
+        ended = ended.float()
         won = ended * (step.reached >= waypoints)
         sums = torch.stack([ended, ended * self._return, won, ended * self._length])
         self._sums += sums.view(4, self._sums.shape[1], -1).sum(dim=2)

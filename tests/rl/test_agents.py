@@ -18,7 +18,7 @@ from rl.task import Task
 from rl.world import Decisions
 from sim2real.errors import InputError
 
-SETTINGS = replace(PLAIN, hidden=(32, 24), memory=500, batch=64)
+SETTINGS = replace(PLAIN, hidden=(32, 24), memory=490, batch=64)
 
 
 def batch_of(A: int, O: int, J: int, generator: torch.Generator, B: int = 64) -> Batch:  # noqa: E741
@@ -97,6 +97,7 @@ def test_memories_wrap_and_agents_draw_from_their_own(world_of):
             torch.zeros(2, 20, 11), mark < 0,
         )  # fmt: skip
     assert agents.filled == SETTINGS.memory
+    assert agents.memory[0, :, 14].min() == 5 + 3, "the last 490, across the memory's end"
     drawn = agents._sample().reward
     assert drawn[0].min() >= 5
     assert drawn[0].max() < 30
