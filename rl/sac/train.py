@@ -122,11 +122,11 @@ def train_in_parts(
     first: Sequence[Path] = (),
     report: Report | None = None,
 ) -> list[Path]:
-    """Train as ``train`` does, with the seeds dealt out to processes: ``part-0``, ``part-1``, ...
+    """Train as ``train`` does in two processes, with every second seed: ``part-0``, ``part-1``.
 
-    Of an odd number three processes share two cores more evenly than two.
+    With one robot per agent each seed is a part of its own, as batches then save no time.
     """
-    parts = min(2 + len(plan.seeds) % 2, len(plan.seeds))
+    parts = len(plan.seeds) if plan.envs == 1 else min(2, len(plan.seeds))
     shares = [range(k, len(plan.seeds), parts) for k in range(parts)]
     trainings = [
         partial(
@@ -137,7 +137,7 @@ def train_in_parts(
         for k, share in enumerate(shares)
     ]  # fmt: skip
     spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(max(len(shares) - 1, 1), spawn, hide_progress) as pool:
+    with ProcessPoolExecutor(1, spawn, hide_progress) as pool:
         futures = [pool.submit(training) for training in trainings[1:]]
         trained = [*trainings[0](), *(path for future in futures for path in future.result())]
     folders = {path.name: path for path in trained}
