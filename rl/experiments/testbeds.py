@@ -77,8 +77,12 @@ class Controllers:
             controller.reset()
 
     def act(self, observation: Array32) -> Array32:
-        """Actions of all robots."""
-        return np.concatenate([c.act(observation[rows]) for c, rows in self._shares()])
+        """Actions of all robots, shape (n, J), for their observations (n, O)."""
+        acted = [(rows, c.act(observation[rows])) for c, rows in self._shares()]
+        actions = np.empty((len(observation), acted[0][1].shape[1]), dtype=np.float32)
+        for rows, action in acted:
+            actions[rows] = action
+        return actions
 
     def _shares(self) -> list[tuple[Controller, Mask]]:
         return [(self.controllers[k], self.owner == k) for k in np.unique(self.owner)]

@@ -178,6 +178,8 @@ def test_a_crew_steers_each_share_by_its_own_controller():
     several = Controllers([Says(1), Says(2), Says(3)], 2)
     assert several.act(np.zeros((6, 9), dtype=np.float32))[:, 0].tolist() == [1, 1, 2, 2, 3, 3]
     some = several.of(np.array([1, 4, 5]))
+    several.owner = np.array([2, 0, 1, 0, 2, 1])
+    assert several.act(np.zeros((6, 9), dtype=np.float32))[:, 0].tolist() == [3, 1, 2, 1, 3, 2]
     assert some.act(np.zeros((3, 9), dtype=np.float32))[:, 0].tolist() == [1, 3, 3]
 
 
