@@ -82,7 +82,7 @@ _REPRODUCE = """
 results learning-curves|stages|calibration|turn|pentagram+: figures of the paper to make
 --out FOLDER!: folder for the figures (.png), the film (turn.mp4), their numbers (results.json) and
     a page (index.html)
---run FOLDER = datasets/pool/agents/ablation: a training (sim2real train --seeds 3): its curves, the
+--run FOLDER = datasets/pool/agents/training: a training (sim2real train --seeds 3): its curves, the
     policies that it kept at stages, and the policy that turns
 --policies POLICY+: controllers of the pentagram, as of evaluate, and the policy that turns
     (default: that of --run, pnl, adrc, and the discrete CPG in datasets/pool/agents/discrete-cpg)

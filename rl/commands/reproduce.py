@@ -92,7 +92,7 @@ def learning_curves(options: argparse.Namespace, _: Fish) -> tuple[Section, Any]
     figure = _figure(options, "learning-curves", curves_figure({"policy": folders}))
     last = {folder.name: float(read_progress(folder)["mean_return"][-1]) for folder in folders}
     lead = (
-        f"{len(folders)} agents of {options.run}: mean of the last 64 episodes that ended in "
+        f"Agents of {options.run}: {len(folders)}. Mean of the last 64 episodes that ended in "
         "training, and its standard deviation over the agents, shaded."
     )
     return Section("Learning curves", lead, [figure]), last
