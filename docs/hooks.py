@@ -1,4 +1,5 @@
-"""What MkDocs runs while it builds: equations become MathML, which needs no script to be shown.
+"""What MkDocs runs while it builds: equations become MathML, which needs no script to be shown,
+and options of commands stay in one piece.
 
 Two pages are written from the code: the command line and the catalogue of effects.
 """
@@ -14,11 +15,15 @@ from latex2mathml.converter import convert
 
 ROOT = Path(__file__).resolve().parents[1]
 _EQUATION = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
+_SHELL = re.compile(r'<div class="language-sh.*?</div>', re.DOTALL)
+_OPTION = re.compile(r"(?<=</span>)--[a-z][\w-]*")
 _FILE_LINK = re.compile(r"\[[^\]]*\]\((?!\w+:|#)([^)#\s]+)[^)]*\)")
 
 
 def on_page_content(content: str, **_: Any) -> str:  # noqa: ANN401 - MkDocs'
-    """Equations as MathML."""
+    """Equations as MathML; a command wraps between its options, not inside one."""
+    whole = '<span class="option">\\g<0></span>'
+    content = _SHELL.sub(lambda block: _OPTION.sub(whole, block[0]), content)
     return _EQUATION.sub(_mathml, content)
 
 
