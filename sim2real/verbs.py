@@ -119,7 +119,7 @@ def posterior(
         robot: The robot that was recorded.
         model: Its fitted servos; the effects that they have are sampled too.
         held_out: Name of the recording to check a fit to the others on; by default the last.
-        steps: Steps of each chain.
+        steps: Most steps of each chain, which ends at 100 autocorrelation times.
         walkers: Walkers of each chain.
         interval: Probability of the intervals of the posterior.
         seed: Seed of the chains.
@@ -174,7 +174,7 @@ def ranges(
         population: Instead of these, models of units of one type of servo, UNIT=MODEL for each run
             of a unit that has several; in Python models, also in lists by unit.
         held_out: Name of the recording to check a fit to the others on; by default the last.
-        steps: Steps of each chain.
+        steps: Most steps of each chain, which ends at 100 autocorrelation times.
         walkers: Walkers of each chain.
         chains: Path next to which the chains are kept, in files STEM.chain.JOINT.npz, so that an
             interrupted call continues where it stopped.

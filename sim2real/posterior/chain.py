@@ -85,8 +85,11 @@ def run_chain(
     *,
     smallest_block: int = 100,
     block_share: float = 0.1,
+    spans: float = math.inf,
 ) -> Chain:
     """Continue a chain to ``steps`` steps in all, writing it to ``file`` after every block.
+
+    It ends before that where it is ``spans`` times as long as its longest autocorrelation time.
 
     ``log_density`` is that of standardised coordinates (B, F), shape (B,). A block is a share of
     the previous steps, so that the total cost of writing grows only in proportion to the length of
@@ -104,7 +107,7 @@ def run_chain(
     if chain.steps:
         start, density = chain.coordinates[-1], chain.log_density[-1]
     state = State(start, density, random_state=chain.random)
-    while chain.steps < steps:
+    while chain.steps < steps and (not chain.steps or convergence(chain).spans < spans):
         block = min(max(smallest_block, int(block_share * chain.steps)), steps - chain.steps)
         sampler.reset()
         state = deque(interruptible(sampler.sample(state, iterations=block)), maxlen=1).pop()

@@ -26,6 +26,7 @@ from sim2real.inference.normal import LEVEL
 from sim2real.inference.parameters import Parameter
 from sim2real.model import JointModel
 from sim2real.posterior.chain import (
+    LEAST_TIMES,
     Chain,
     Convergence,
     clear_leftovers,
@@ -144,9 +145,9 @@ def sample_servo(
     likelihood, which makes their intervals those of ``identify`` (curvature adjustment: Ribatet,
     Cooley and Davison, Statistica Sinica 22 (2012) 813-845).
 
-    The search for the optimum starts from the model. ``steps`` are those of each of the
-    ``walkers``, including those in ``file``, a chain that is continued if it exists; ``level`` is
-    the probability of the intervals.
+    The search for the optimum starts from the model. ``steps`` are the most that each of the
+    ``walkers`` takes, including those in ``file``, a chain that is continued if it exists: a chain
+    of twice the length that is asked of it ends. ``level`` is the probability of the intervals.
 
     Returns:
         The sample; ``convergence.reached`` is true if the chain is long enough.
@@ -172,7 +173,8 @@ def sample_servo(
         return np.where(np.isfinite(value), value, -np.inf)
 
     progress(chain.steps)
-    chain = run_chain(chain, log_posterior, steps, file, progress)
+    chain = run_chain(chain, log_posterior, steps, file, progress, spans=2 * LEAST_TIMES)
+    progress(steps)
     mixing = convergence(chain)
     x = _folded(problem, centre + sample(chain, mixing) @ spread.T)
     return ServoPosterior(

@@ -156,3 +156,11 @@ def test_the_steps_that_a_message_names_are_enough(phi, share):
         needed = short.needed
         assert needed <= 12 * 50 * time
         assert convergence(correlated(needed, phi, seed)).reached
+
+
+def test_a_chain_ends_once_it_is_long_enough():
+    found = run_chain(begun(3), skewed, 5000, spans=60)
+    assert 60 <= convergence(found).spans
+    assert found.steps < 2500
+    whole = run_chain(begun(3), skewed, found.steps)
+    assert (whole.coordinates == found.coordinates).all()
