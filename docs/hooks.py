@@ -1,6 +1,6 @@
-"""What MkDocs runs while it builds: equations become MathML, which needs no script to be shown,
-and options of commands stay in one piece.
+"""What MkDocs runs while it builds.
 
+Equations become MathML, which needs no script to be shown; options of commands stay in one piece.
 Two pages are written from the code: the command line and the catalogue of effects.
 """
 
