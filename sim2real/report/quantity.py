@@ -132,7 +132,14 @@ def printable(text: str) -> str:
 
 
 def _decimal_places(value: float, ends: tuple[float, float]) -> int:
-    """Places for two digits of the narrower side of the interval, and of the value."""
+    """Places for two digits of the narrower side of the interval, and of the value.
+
+    At most three digits of an interval that is wide beside these.
+    """
     sizes = [abs(value) / 10, *(abs(end - value) for end in ends)]
     sizes = [size for size in sizes if math.isfinite(size) and size > 0]
-    return max(0, min(9, 1 - math.floor(math.log10(min(sizes))))) if sizes else 3
+    width = ends[1] - ends[0]
+    least = width / 20 if math.isfinite(width) else 0.0
+    if not sizes:
+        return 3
+    return max(0, min(9, 1 - math.floor(math.log10(max(min(sizes), least)))))

@@ -284,3 +284,16 @@ def test_a_table_says_the_probability_of_its_intervals():
     rows = [("j1", Quantity("kp", "N m/rad", 1.25, (1.0, 1.5)))]
     assert quantity_table(rows).header[4] == "90 % interval"
     assert quantity_table(rows, level=0.68).header[4] == "68 % interval"
+
+
+def test_a_value_far_below_its_interval_has_the_digits_of_the_interval():
+    assert Quantity("load friction", "", 1e-9, (0.0, 0.66542), "").texts == (
+        "0.000",
+        "0.000",
+        "0.665",
+    )
+    assert Quantity("kp", "", 1.37424, (1.36861, 1.37983), "").texts == (
+        "1.3742",
+        "1.3686",
+        "1.3798",
+    )
