@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from good_input import message
+from good_input import message, refused
 
 from sim.inference.diagnose_swims import simulator_of
 from sim.inference.swims import swim_of
@@ -45,27 +45,19 @@ def swim() -> Recording:
     return read_recording(POOL / "p1.csv").between(0, 100)
 
 
-def rerun_columns(file: Path) -> dict[str, tuple[np.ndarray, Any]]:
-    """Times and values of each entity of a file for Rerun."""
+def rerun_columns(file: Path) -> dict[str, tuple[Any, Any]]:
+    """Times, unless it is static, and values of each entity of a file for Rerun."""
     chunk = pytest.importorskip("rerun.chunk", reason="the extra 'view' is not installed")
-    columns: dict[str, tuple[np.ndarray, Any]] = {}
+    columns: dict[str, tuple[Any, Any]] = {}
     for part in chunk.RrdReader(str(file)).stream():
         batch = part.to_record_batch()
         names = [name for name in batch.schema.names if name.endswith((":scalars", ":strips"))]
-        if names and not part.is_static:
-            times = batch.column("time").cast("int64").to_numpy() / 1e9
+        if names:
+            static = part.is_static
+            times = None if static else batch.column("time").cast("int64").to_numpy() / 1e9
             values = [row[0] for row in batch.column(names[0]).to_pylist()]
             columns[part.entity_path] = times, np.array(values)
     return columns
-
-
-def chunks_without_time(file: Path, entity: str) -> Any:
-    """The static line of an entity of a file for Rerun."""
-    chunk = pytest.importorskip("rerun.chunk", reason="the extra 'view' is not installed")
-    parts = [part for part in chunk.RrdReader(str(file)).stream() if part.entity_path == entity]
-    batches = [part.to_record_batch() for part in parts]
-    (batch,) = (b for b in batches if "LineStrips3D:strips" in b.schema.names)
-    return np.array(batch.column("LineStrips3D:strips").to_pylist()[0][0])
 
 
 def mcap_messages(file: Path) -> dict[str, list[tuple[float, dict[str, Any]]]]:
@@ -114,7 +106,7 @@ def test_a_swim_moves_in_both_files(swim: Recording, tmp_path: Path) -> None:
     times, points = columns["/p1/body/measured"]
     np.testing.assert_allclose(times, track.t)
     np.testing.assert_allclose(points, track.points, atol=1e-6)
-    static = chunks_without_time(tmp_path / "a.rrd", "/p1/body/measured/path")
+    _, (static,) = columns["/p1/body/measured/path"]
     np.testing.assert_allclose(static, track.points[:, 0], atol=1e-6)
     updates = mcap_messages(write_mcap(scene, tmp_path / "a.mcap"))["/p1/body/measured"]
     assert len(updates) == track.t.size
@@ -169,8 +161,8 @@ def test_a_missing_library_is_named(name, bench, tmp_path, monkeypatch) -> None:
 def test_a_file_with_another_ending_is_refused(tmp_path, capsys) -> None:
     out = ("--out", str(tmp_path / "p.csv"), "--mcap", str(tmp_path / "p.json"))
     model = ROOT / "reports" / "servo_steps" / "model.json"
-    assert main(["predict", str(model), str(DATA / "chirp.csv"), *out]) == 2
-    assert "--mcap: found the ending '.json', expected .mcap" in capsys.readouterr().err
+    status = main(["predict", str(model), str(DATA / "chirp.csv"), *out])
+    refused(capsys, status, "--mcap: found the ending '.json', expected .mcap")
     assert not list(tmp_path.iterdir())
 
 
