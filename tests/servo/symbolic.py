@@ -7,8 +7,8 @@ import numpy as np
 
 PARAMETERS = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
 """What the derivatives are by, in this order."""
-STEP_S = 0.004
-"""The longest Runge-Kutta step: servos of the tests turn by 0.13 rad of their phase in it."""
+STEP_S = 0.002
+"""The longest Runge-Kutta step: the phase of the tests' servos turns by at most 0.13 rad in it."""
 
 
 def pd_torque(kp, kd, error, v):

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from good_input import refused
 from swimming_robots import FISH, LAW, servos
 from test_calibrate import SENT, TIMES
 
@@ -16,10 +17,9 @@ from sim.inference.coordinates import SERVOS, WATER_FORCES, Coordinates, candida
 from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.law_error import LAW_ERROR, learned, read_law_error
 from sim.inference.searched import SwimSearch, searched
-from sim.inference.signal_error import Blocks, spectrum
 from sim.inference.swim_decision import decide
 from sim.inference.swim_problem import COST, SwimProblem
-from sim.inference.swims import block_bounds, by_followed_twin, by_twin, swim_of, with_values
+from sim.inference.swims import by_followed_twin, by_twin, swim_of, with_values
 from sim2real.body import observed, values
 from sim2real.cli import main
 from sim2real.recording import Recording
@@ -190,16 +190,6 @@ def test_coordinates_give_back_what_they_stand_for():
     assert c.parameters(points[k + 1])["appendage_drag.x_m"] == pytest.approx(0.1)
 
 
-def test_blocks_keep_what_errors_are_worth():
-    rng = np.random.default_rng(0)
-    errors = rng.standard_normal((3, 500, 6))
-    edges = block_bounds(500, 0.02)
-    assert np.sum(spectrum(errors, edges) ** 2) == pytest.approx(np.sum(errors**2))
-    blocks = Blocks.of(swum({}))
-    loose = blocks.weights(2 * LAW_ERROR.shares)
-    assert (loose < blocks.weights(LAW_ERROR.shares)).all()
-
-
 def raw(*sets, held=None, shapes=-20.0, left=1.0):
     names = [[list(n) for n in one] for one, _ in sets]
     held = held or [(one, 900.0 - e, 0.03 - 1e-4 * e) for one, e in sets]
@@ -357,12 +347,11 @@ def test_a_shape_without_a_name_makes_it_abstain():
 
 def test_swims_need_a_model_and_no_bench_beside_them(tmp_path, capsys):
     robot = ["--robot", "datasets/pool/robot.toml", "--out", str(tmp_path / "d.json")]
-    assert main(["diagnose", "datasets/pool/p1.csv", *robot]) == 2
-    assert "the model of the servos" in capsys.readouterr().err
-    model = ["--model", "datasets/pool/model.json"]
+    status = main(["diagnose", "datasets/pool/p1.csv", *robot])
+    refused(capsys, status, "the model of the servos")
     both = ["datasets/pool/p1.csv", "datasets/servo_steps/steps.csv"]
-    assert main(["diagnose", *both, *robot, *model]) == 2
-    assert "swims alone" in capsys.readouterr().err
+    status = main(["diagnose", *both, *robot, "--model", "datasets/pool/model.json"])
+    refused(capsys, status, "swims alone")
     assert not (tmp_path / "d.json").exists()
 
 
