@@ -14,8 +14,7 @@ from sim2real.recording import Load
 from sim2real.robot import Servo
 from sim2real.signals import UNIT, excitation
 
-FINE = Servo("s", 1.67, 5.24, 0.00153)
-ROBOT = robot("j1", servo=FINE, limits=(-0.8, 0.8))
+ROBOT = robot("j1", servo=Servo("s", 1.67, 5.24, 0.00153), limits=(-0.8, 0.8))
 LIMITS = limits_of(ROBOT)
 LIGHT = Load(0.002)
 SMALL = {"drawn": 32, "rounds": 10}

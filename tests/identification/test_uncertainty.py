@@ -143,8 +143,7 @@ def recorded(limit, kd=KD, seed=0, ramp=np.inf):
     return recordings
 
 
-SMALL = Servo("small", 1.05 * STALL, SPEED, 0.0)
-BENCH = robot("j1", servo=SMALL, limits=(-3.0, 3.0))
+BENCH = robot("j1", servo=Servo("small", 1.05 * STALL, SPEED, 0.0), limits=(-3.0, 3.0))
 
 
 def test_a_flat_limit_is_told_from_a_line():

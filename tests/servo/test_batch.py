@@ -171,6 +171,17 @@ def test_a_given_noise_model_is_kept(joints, problems):
         assert white.square[n, 0] == pytest.approx(energy, rel=1e-12)
 
 
+def test_joints_may_have_different_numbers_of_recordings(joints, problems):
+    fewer = [joints[0], joints[1][:1]]
+    found = Batch(fewer).evaluate(problems, blocks=BLOCKS)
+    alone = Batch([joints[1][:1]]).evaluate(
+        Problems(np.array([0], dtype=np.int32), problems.theta[1:], problems.scale[1:]),
+        blocks=BLOCKS,
+    )
+    np.testing.assert_allclose(found.square[1], alone.square[0])
+    assert (found.gram[1, BLOCKS:] == 0).all()
+
+
 @pytest.mark.xfail(strict=True, reason="places beyond the deep ones have no row")
 def test_one_of_the_deep_variants_may_not_be_there(joints, problems):
     scale = problems.scale.copy()

@@ -17,9 +17,10 @@ from sim.inference.coordinates import SERVOS, WATER_FORCES, Coordinates, candida
 from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.law_error import LAW_ERROR, learned, read_law_error
 from sim.inference.searched import SwimSearch, searched
+from sim.inference.signal_error import Blocks, spectrum
 from sim.inference.swim_decision import decide
 from sim.inference.swim_problem import COST, SwimProblem
-from sim.inference.swims import by_followed_twin, by_twin, swim_of, with_values
+from sim.inference.swims import block_bounds, by_followed_twin, by_twin, swim_of, with_values
 from sim2real.body import observed, values
 from sim2real.cli import main
 from sim2real.recording import Recording
@@ -188,6 +189,16 @@ def test_coordinates_give_back_what_they_stand_for():
     k = c.place["appendage_drag.x_m"]
     assert base[k] == c.place["appendage_drag.area_m2"] + 1
     assert c.parameters(points[k + 1])["appendage_drag.x_m"] == pytest.approx(0.1)
+
+
+def test_blocks_keep_what_errors_are_worth():
+    rng = np.random.default_rng(0)
+    errors = rng.standard_normal((3, 500, 6))
+    edges = block_bounds(500, 0.02)
+    assert np.sum(spectrum(errors, edges) ** 2) == pytest.approx(np.sum(errors**2))
+    blocks = Blocks.of(swum({}))
+    loose = blocks.weights(2 * LAW_ERROR.shares)
+    assert (loose < blocks.weights(LAW_ERROR.shares)).all()
 
 
 def raw(*sets, held=None, shapes=-20.0, left=1.0):
