@@ -67,14 +67,15 @@ def message(read: Callable[[], object], *parts: str) -> str:
     return line
 
 
-def refused(capsys: pytest.CaptureFixture[str], status: int, *parts: str) -> None:
-    """A command that printed one line, which holds all ``parts``, and left with status 2."""
+def refused(capsys: pytest.CaptureFixture[str], status: int, *parts: str) -> str:
+    """The line of a command that printed one, which has all ``parts``, and left with status 2."""
     output = capsys.readouterr()
     assert status == 2
     assert output.out == ""
     assert output.err.count("\n") == 1, output.err
     for part in parts:
         assert part in output.err
+    return output.err
 
 
 def csv_file(folder: Path, rows: tuple[str, ...] = ROWS, header: str = HEADER) -> Path:

@@ -16,6 +16,7 @@ from sim2real.servo.trace import trace
 BENCH = Path(__file__).parents[1] / "datasets" / "servo_steps"
 KP, KD, LATENCY, INERTIA = 2.2, 0.06, 0.05, 0.002
 PERIOD, NOISE = 0.02, 0.0015
+SHEET = Servo("lx824", 1.67, 5.24, 0.00419)
 FRICTION = {"coulomb_friction": {"torque_Nm": 0.05}}
 
 
@@ -36,6 +37,21 @@ def column(name):
     return COLUMNS.index(name)
 
 
+def one_joint(t, command, angle, load=Load(INERTIA), name="steps"):  # noqa: B008
+    """A recording of joint j1 with these set-points and angles (T,)."""
+    loads = {"j1": load} if load else {}
+    return Recording(name, "servo", ("j1",), t, command[:, None], angle[:, None], loads)
+
+
+def beside(first, second, names=("j1", "j2")):
+    """The joints of two recordings as two joints of one."""
+    pair = (first, second)
+    command = np.hstack([one.command for one in pair])
+    position = np.hstack([one.position for one in pair])
+    loads = {name: one.loads["j1"] for name, one in zip(names, pair, strict=True)}
+    return replace(first, joints=names, command=command, position=position, loads=loads)
+
+
 def recording(seed=0, name="steps", seconds=12.0, noise=NOISE, load=None, command=None, **effects):
     """What a sensor with white noise sees of the servo."""
     rng = np.random.default_rng(seed)
@@ -43,8 +59,7 @@ def recording(seed=0, name="steps", seconds=12.0, noise=NOISE, load=None, comman
     sent = steps(t, rng) if command is None else command(t)
     load = load or Load(INERTIA)
     angle = rollout(row(load, **effects)[None], t, sent)[0]
-    seen = angle + rng.normal(0, noise, t.size)
-    return Recording(name, "servo", ("j1",), t, sent[:, None], seen[:, None], {"j1": load})
+    return one_joint(t, sent, angle + rng.normal(0, noise, t.size), load, name)
 
 
 def traced(seed=0, name="steps", **given):
@@ -57,10 +72,9 @@ def two(**effects):
     return [recording(1, "a", seconds=8.0, **effects), recording(2, "b", seconds=8.0, **effects)]
 
 
-def robot(*names):
+def robot(*names, servo=SHEET, limits=(-1.0, 1.0)):
     """A bench of such joints."""
-    servo = Servo("lx824", 1.67, 5.24, 0.00419)
-    joints = tuple(Joint(name, servo, (-1.0, 1.0)) for name in names)
+    joints = tuple(Joint(name, servo, limits) for name in names)
     return Robot("bench", (Link("link", 0.1, 0.1, 0.1, 0.1),) * (len(names) + 1), joints)
 
 

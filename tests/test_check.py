@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import simulated
 
 from sim2real.check import Check, check
 from sim2real.errors import InputError, RecordingFinding
 from sim2real.recording import Load, Recording, read_recording
-from sim2real.robot import Joint, Link, Robot, Servo, match_joints, read_robot
+from sim2real.robot import Robot, match_joints, read_robot
 
 STEP = 0.00419
 T = np.arange(0, 10, 0.02)
@@ -17,10 +18,8 @@ PENDULUM = Load(0.0049, 0.49, 0.1)
 FAST = 0.4 * np.sin(2 * np.pi * T)
 
 
-def robot(*names: str, limit: float = 0.8, speed: float = 5.24) -> Robot:
-    servo = Servo("lx824", 1.67, speed, STEP)
-    links = tuple(Link(f"l{k}", 1, 0.1, 0.1, 0.1) for k in range(len(names) + 1))
-    return Robot("fish", links, tuple(Joint(name, servo, (-limit, limit)) for name in names))
+def robot(*names: str) -> Robot:
+    return simulated.robot(*names, limits=(-0.8, 0.8))
 
 
 def follow(t: np.ndarray, command: np.ndarray) -> np.ndarray:

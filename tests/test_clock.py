@@ -134,13 +134,3 @@ def test_pauses_longer_than_the_rest_are_refused() -> None:
     check_sampling("commands.csv", np.where(T < 4, T, T + 500), longest_s=10.0)
     hour = np.arange(0.0, 600.0, 0.02)
     check_sampling("log.csv", np.where(hour < 4, hour, hour + 599))
-
-
-def test_a_wrong_unit_of_time_is_named() -> None:
-    def refused(t: np.ndarray, unit_s: float) -> str:
-        read = lambda: check_sampling("log.csv", t, where="--time-unit", unit_s=unit_s)  # noqa: E731
-        return message(read, "log.csv: --time-unit: found samples")
-
-    assert "are the times in milliseconds?" in refused(1000 * T, 1.0)
-    assert "are the times in seconds?" in refused(1e-9 * T, 1e-9)
-    assert "are the times in microseconds?" in refused(1000 * T, 1e-3)

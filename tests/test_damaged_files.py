@@ -115,35 +115,12 @@ def test_damaged_inputs_of_every_reader(tmp_path: Path, seed: int) -> None:
                 assert "\n" not in str(error), how
 
 
-def run_in_processes(cases: int, processes: int, timeout_s: float) -> None:
-    """Run cases of new seeds in each of some processes; whatever fails names its seed."""
-    pytest.importorskip("stable_baselines3", reason="the extra 'rl' is not installed")
-    first = random.SystemRandom().randrange(2**40)
-    calls = [
-        [sys.executable, __file__, "--seed", str(first + k * cases), "--cases", str(cases)]
-        for k in range(processes)
-    ]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    started = [subprocess.Popen(call, **pipes) for call in calls]
-    failed = []
-    for process in started:
-        try:
-            out, err = process.communicate(timeout=timeout_s)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            out, err = process.communicate()
-        if process.returncode:
-            failed.append(f"{out}\nstatus {process.returncode}, the last case:\n{err[-2000:]}")
-    assert not failed, "\n".join(failed)
-
-
 def test_damaged_inputs_of_commands() -> None:
-    run_in_processes(40, processes=1, timeout_s=240)
-
-
-@pytest.mark.slow
-def test_a_thousand_damaged_inputs_of_commands() -> None:
-    run_in_processes(500, processes=2, timeout_s=3600)
+    """Of new seeds in each run; whatever fails names its seed."""
+    pytest.importorskip("stable_baselines3", reason="the extra 'rl' is not installed")
+    call = [sys.executable, __file__, "--cases", "40"]
+    done = subprocess.run(call, capture_output=True, text=True, timeout=240)
+    assert done.returncode == 0, f"{done.stdout}\nthe last case:\n{done.stderr[-2000:]}"
 
 
 class TooLong(BaseException):

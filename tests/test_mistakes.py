@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from good_input import message
-from simulated import INERTIA, LATENCY, NOISE, recording, robot, row, steps
+from simulated import INERTIA, LATENCY, NOISE, one_joint, recording, robot, row, steps
 
 import sim2real as s2r
 from sim2real.errors import InputError
@@ -18,17 +18,12 @@ from sim2real.output import write_json
 from sim2real.plausible import validate_recording
 from sim2real.readings import lead_s
 from sim2real.recording import Load, Recording, read_commands, read_recording
-from sim2real.robot import Robot, Servo, read_robot
+from sim2real.robot import Servo, read_robot
 from sim2real.servo.rollout import rollout
 
 GOOD = recording(1, "bench", seconds=8.0)
 BENCH = robot("j1")
 SERVO = Model(joints={"j1": JointModel(2.2, 0.06, 0.05, INERTIA)})
-
-
-def with_sheet(**stated: float) -> Robot:
-    joint = replace(BENCH.joints[0], servo=Servo("lx824", **stated))
-    return replace(BENCH, joints=(joint,))
 
 
 @pytest.mark.parametrize(
@@ -73,15 +68,6 @@ def test_commands_whose_times_are_not_in_seconds(tmp_path: Path, unit: float) ->
     assert read_commands(path).t.size == 3
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_lead_is_measured(seed: int) -> None:
-    bench = recording(seed, seconds=8.0)
-    lead = lead_s(bench.t, bench.position[:, 0], bench.command[:, 0])
-    assert lead_s(bench.t, bench.command[:, 0], bench.position[:, 0]) is None
-    assert lead is not None
-    assert 0.04 < lead < 0.25  # the latency of 50 ms and the rise of the angle
-
-
 def test_shipped_and_real_recordings_are_plausible(realdata: Path) -> None:
     root = Path(__file__).parents[1] / "datasets"
     for folder in (root / "servo_steps", root / "pool", *realdata.iterdir()):
@@ -123,7 +109,7 @@ def test_arguments(call: Callable[[], object], parts: tuple[str, ...]) -> None:
 
 def test_no_data_sheet_means_the_linear_law() -> None:
     for stated in ({}, {"max_torque_Nm": 1.67}):
-        bare = with_sheet(**stated)
+        bare = robot("j1", servo=Servo("lx824", **stated))
         found = s2r.identify(GOOD, bare).joints["j1"]
         assert found.law == "pd"
         assert any("states no" in n and "no_load_speed_rad_s" in n for n in found.notes)
@@ -136,17 +122,15 @@ def test_no_data_sheet_means_the_linear_law() -> None:
 
 
 def test_a_polled_set_point_shortens_the_latency_by_half_a_period() -> None:
-    period, load, found = 0.016, Load(INERTIA), []
+    period, found = 0.016, []
     for seed in range(6):
         rng = np.random.default_rng(seed)
         sent_at = 0.001 * np.arange(20_000)
         sent = steps(sent_at, rng)
-        angle = rollout(row(load)[None], sent_at, sent)[0]
+        angle = rollout(row()[None], sent_at, sent)[0]
         seen = np.arange(0, sent_at.size, 16)
-        position = angle[seen, None] + rng.normal(0, NOISE, (seen.size, 1))
-        polled = Recording(
-            "polled", "servo", ("j1",), sent_at[seen], sent[seen, None], position, {"j1": load}
-        )
+        position = angle[seen] + rng.normal(0, NOISE, seen.size)
+        polled = one_joint(sent_at[seen], sent[seen], position)
         found.append(s2r.identify(polled, BENCH, law="pd").joints["j1"].latency_s)
     assert np.mean(found) == pytest.approx(LATENCY - period / 2, abs=0.002)
 

@@ -60,31 +60,35 @@ def test_continuous_noise_has_no_step(samples: int, decimals: int) -> None:
         assert quantization_step(np.round(noise, decimals)) == 0
 
 
-@pytest.mark.parametrize("position", [[], [np.nan] * 5, [0.3], [0.3] * 50, [0.0] * 50 + [1.0]])
+RESTING = np.maximum(np.arange(0, 4, 0.01) - 1, 0.0)
+NO_LEVELS = ([], [np.nan] * 5, [0.3], [0.3] * 50, [0.0] * 50 + [1.0], 0.3 * np.sin(RESTING))
+
+
+@pytest.mark.parametrize("position", NO_LEVELS)
 def test_no_step_without_two_close_levels(position: list[float]) -> None:
     assert quantization_step(np.array(position)) == 0
 
 
+def swinging_angles(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Command and position, 70 ms late, that never rest."""
+    return 0.5 * np.sin(2 * np.pi * t), 0.5 * np.sin(2 * np.pi * (t - 0.07))
+
+
+@pytest.mark.parametrize(
+    ("angles", "ratio"),
+    [
+        *((held_angles, ratio) for ratio in (0, 0.1, 0.5, 1, 2)),
+        *((swinging_angles, ratio) for ratio in (0, 0.25, 0.5, 1, 2)),
+    ],
+)
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("ratio", [0, 0.1, 0.5, 1, 2])
 @pytest.mark.parametrize("step", STEPS[:2])
-def test_noise_from_holds(step: float, ratio: float, seed: int) -> None:
+def test_noise_of_holds_and_of_motion(step: float, ratio: float, seed: int, angles) -> None:
     rng = np.random.default_rng(seed)
     t = times(rng)
-    command, angle = held_angles(t, rng)
+    command, angle = angles(t, rng)
     position, truth = measured(angle, ratio * step, step, rng)
     position[rng.random(t.size) < 0.05] = np.nan
-    assert noise_floor(t, command, position) == pytest.approx(truth, rel=0.25)
-
-
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("ratio", [0, 0.25, 0.5, 1, 2])
-@pytest.mark.parametrize("step", STEPS[:2])
-def test_noise_without_quiet_segment(step: float, ratio: float, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    t = times(rng)
-    command = 0.5 * np.sin(2 * np.pi * t)
-    position, truth = measured(0.5 * np.sin(2 * np.pi * (t - 0.07)), ratio * step, step, rng)
     assert noise_floor(t, command, position) == pytest.approx(truth, rel=0.25)
 
 
@@ -139,8 +143,3 @@ def test_commands_missing() -> None:
     t = times(rng)
     position = np.sin(t) + rng.normal(0, 0.01, t.size)
     assert noise_floor(t, np.full(t.size, np.nan), position) == pytest.approx(0.01, rel=0.15)
-
-
-def test_resting_exactly_is_no_quantization() -> None:
-    t = np.arange(0, 4, 0.01)
-    assert quantization_step(np.where(t < 1, 0, 0.3 * np.sin(t - 1))) == 0

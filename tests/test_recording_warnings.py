@@ -12,7 +12,7 @@ from sim2real.cli import main
 from sim2real.errors import InputError
 from sim2real.identification.identify import identify
 from sim2real.identification.problem import plain_row
-from sim2real.recording import Load, Recording
+from sim2real.recording import Load
 from sim2real.servo.rollout import rollout
 
 GATHER = importlib.import_module("sim2real.ranges.gather")
@@ -48,14 +48,10 @@ def test_diagnosis():
     assert words in " ".join(found.gate)
 
 
-def test_posterior(model, monkeypatch):
+def test_posterior_and_ranges(model, monkeypatch):
     monkeypatch.setattr(GATHER, "sample_joints", lambda *_: ({}, {}))
     with pytest.warns(UserWarning, match=WORDS):
         s2r.posterior([STOPPED, GOOD], ROBOT, model)
-
-
-def test_ranges(model, monkeypatch):
-    monkeypatch.setattr(GATHER, "sample_joints", lambda *_: ({}, {}))
     notes = s2r.ranges([STOPPED, GOOD], ROBOT, model).ranges.notes
     assert notes[0].startswith(WORDS)
 
@@ -113,8 +109,7 @@ def test_an_alias_above_half_the_sampling_rate_is_searched_again(monkeypatch):
     place = (t / 0.8).astype(int)
     sent = knots[place] + share * (knots[place + 1] - knots[place])
     seen = rollout(row[None], t, sent)[0] + rng.normal(0, 1e-3, t.size)
-    load = {"j1": Load(simulated.INERTIA)}
-    recording = Recording("smooth", "servo", ("j1",), t, sent[:, None], seen[:, None], load)
+    recording = simulated.one_joint(t, sent, seen)
     module = importlib.import_module("sim2real.identification.joint_fit")
     guess = module.first_guess
 
@@ -135,9 +130,7 @@ def test_a_servo_faster_than_the_samples_has_no_certain_gains():
     fast[:3] = 40.0, 0.05, 0.045  # 22 Hz
     t = np.arange(0, 12, 0.04)
     sent = simulated.steps(t, np.random.default_rng(1))
-    angle = rollout(fast[None], t, sent)[0]
-    load = {"j1": Load(simulated.INERTIA)}
-    recording = Recording("slow", "servo", ("j1",), t, sent[:, None], angle[:, None], load)
+    recording = simulated.one_joint(t, sent, rollout(fast[None], t, sent)[0])
     joint = identify([recording], ROBOT, law="pd").joints["j1"]
     assert joint.interval["kp_Nm_per_rad"] == (0.0, np.inf)
     assert any("above half the sampling rate of 12.5 Hz" in note for note in joint.notes)
@@ -197,13 +190,8 @@ def test_an_effort_is_above_0(verb, effort):
 def with_gripper(recording, stop_rad):
     """The recording with a second joint of the same motion, which is stopped."""
     noise = np.random.default_rng(1).normal(0, 1e-4, recording.position.shape)
-    return replace(
-        recording,
-        joints=("j1", "gripper"),
-        command=np.hstack([recording.command, recording.command]),
-        position=np.hstack([recording.position, np.minimum(recording.position, stop_rad) + noise]),
-        loads={"j1": Load(simulated.INERTIA), "gripper": Load(simulated.INERTIA)},
-    )
+    stopped = replace(recording, position=np.minimum(recording.position, stop_rad) + noise)
+    return simulated.beside(recording, stopped, ("j1", "gripper"))
 
 
 def test_a_joint_that_is_stopped_most_of_the_time_is_left_out():

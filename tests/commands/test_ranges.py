@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import simulated
+from good_input import refused
 
 from sim2real.cli import main
 from sim2real.model import read_model, write_model
@@ -136,12 +137,8 @@ def test_names_with_slashes_and_markup(tmp_path, monkeypatch):
     "damage",
     [
         lambda a: a.pop("random_keys"),
-        lambda a: a.update(coordinates=a["coordinates"][..., :1]),
         lambda a: a.update(coordinates=a["coordinates"] * np.nan),
-        lambda a: a.update(log_density=a["log_density"][:-1]),
         lambda a: a.update(random_keys=a["random_keys"][:5]),
-        lambda a: a.update(random_numbers=np.full(3, np.nan)),
-        lambda a: a.update({"origin.noise": np.zeros(3)}),
     ],
 )
 def test_a_damaged_chain_is_one_line(damage, command, written, tmp_path, capsys):
@@ -151,7 +148,5 @@ def test_a_damaged_chain_is_one_line(damage, command, written, tmp_path, capsys)
         arrays = dict(content)
     damage(arrays)
     np.savez(file, **arrays)
-    assert main(command(out, "--no-page")) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "ranges.chain.j1.npz" in line
+    refused(capsys, main(command(out, "--no-page")), "ranges.chain.j1.npz")
     assert not out.exists()

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets.servo_steps import make as plant
 from sim2real.model import read_model
 from sim2real.recording import read_recording
 from sim2real.robot import match_joints, read_robot
@@ -36,23 +37,6 @@ def null_case(code):
     return code["cases"].draw_case("null", "", np.random.default_rng(8))
 
 
-def exact_motion(servo, load, t, command):
-    """torque = kp (command(t - latency) - q) - kd v on a bare inertia, by its two exponentials."""
-    arrival = t + servo.latency_s
-    times = np.union1d(t, arrival[arrival < t[-1]])
-    held = command[np.maximum(np.searchsorted(arrival, times, side="right") - 1, 0)]
-    A = np.array([[0.0, 1.0], [-servo.kp, -servo.kd]])
-    A[1] /= load.inertia_kgm2
-    rates, modes = np.linalg.eig(A.astype(complex))
-    fade = np.exp(np.outer(np.diff(times), rates))
-    propagators = np.einsum("ij,kj,jl->kil", modes, fade, np.linalg.inv(modes)).real
-    states = [np.zeros(2)]
-    for propagator, angle in zip(propagators, held[:-1], strict=True):
-        rest = np.array([angle, 0.0])
-        states.append(rest + propagator @ (states[-1] - rest))
-    return np.array(states)[np.searchsorted(times, t), 0]
-
-
 def test_with_nothing_hidden_it_is_a_pd_servo(code):
     case, _ = code["cases"].draw_case("null", "", np.random.default_rng(9))
     take = case.takes["b"]
@@ -61,7 +45,8 @@ def test_with_nothing_hidden_it_is_a_pd_servo(code):
         world = case.world("b")
         world.joints["ripple_Nm"] = 0
         seen = world.motion(take.t, take.command, take.chance, [j]).seen[0]
-        error = seen - exact_motion(servo, servo.loads["b"], take.t, take.command[:, j])
+        known = plant.Servo(servo.kp, servo.kd, servo.latency_s, servo.loads["b"].inertia_kgm2)
+        error = seen - plant.simulate(known, take.t, take.t, take.command[:, j])[:, 0]
         assert np.sqrt(np.mean(error**2)) < 0.1e-3
         assert np.abs(error).max() < 0.6e-3
 

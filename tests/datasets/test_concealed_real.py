@@ -12,14 +12,9 @@ from sim2real.recording import read_recording
 
 FOLDER = Path(__file__).parents[2] / "datasets" / "concealed"
 MODULES = (
-    "real",
-    "backgrounds",
-    "injections",
-    "interventions",
-    "real_effects",
-    "real_files",
+    "real", "backgrounds", "injections", "interventions", "real_effects", "real_files",
     "real_outside",
-)
+)  # fmt: skip
 FEW = ["--null", "3", "--single", "3", "--double", "1", "--outside", "3"]
 
 

@@ -33,12 +33,8 @@ def servos(*effects):
 
 
 def hidden(effect, component, parameters=None, strength=1.0):
-    return {
-        "effect": effect,
-        "component": component,
-        "parameters": parameters or {},
-        "strength": strength,
-    }
+    named = {"effect": effect, "component": component}
+    return named | {"parameters": parameters or {}, "strength": strength}
 
 
 def entry(effect, component, probability, group=(), **means):
@@ -46,13 +42,8 @@ def entry(effect, component, probability, group=(), **means):
         name: {"mean": m, "sd": 0.1 * m, "q05": 0.9 * m, "q95": 1.1 * m}
         for name, m in means.items()
     }
-    return {
-        "effect": effect,
-        "component": component,
-        "probability": probability,
-        "group": [effect, *group],
-        "parameters": parameters,
-    }
+    named = {"effect": effect, "component": component, "probability": probability}
+    return named | {"group": [effect, *group], "parameters": parameters}
 
 
 class Challenge:
@@ -71,7 +62,6 @@ class Challenge:
             | {"windows_s": {}, "oracle": {}}
             | more
         )
-        self.answers[-1].pop("models", None)
         folder = self.verdicts / name
         folder.mkdir(parents=True)
         content = {"verdict": verdict, "effects": list(said), "mismatch": list(mismatch)}

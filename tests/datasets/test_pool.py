@@ -71,11 +71,9 @@ def test_rough_surfaces_take_the_power_that_their_links_lose(code):
     assert not out[0].any()
     power = (out * v).sum(axis=1)
     assert power[2] < power[1] < 0
-    still = np.zeros((3, 6))
-    ahead = np.zeros((3, 6))
+    still, ahead = np.zeros((2, 3, 6))
     ahead[:, 0] = 0.3
     rough.add(still, np.zeros((3, 6)), ahead)
-    hull = hull_of(robot)
     area = np.pi * (hull.half_width + hull.half_height).mean(axis=1) * hull.length
     assert np.isclose(still[2, 0], -0.5 * 1000 * 0.05 * 0.09 * area.sum())
     assert np.allclose(still[:, 1:], 0)
@@ -130,10 +128,6 @@ def test_a_stopped_box_is_not_seen(pool):
     assert np.isfinite(pose).all()
 
 
-def in_this_process(processes, mp_context):
-    return ThreadPoolExecutor(processes)
-
-
 def test_recordings_can_be_made_again(code, tmp_path, monkeypatch):
     texts = []
     for folder in ("a", "b"):  # in a process of its own, and in this one
@@ -141,7 +135,8 @@ def test_recordings_can_be_made_again(code, tmp_path, monkeypatch):
         monkeypatch.setattr(sys, "argv", call)
         code["make"].main()
         texts.append({p.name: p.read_bytes() for p in sorted((tmp_path / folder).iterdir())})
-        monkeypatch.setattr(code["make"], "ProcessPoolExecutor", in_this_process)
+        here = lambda processes, mp_context: ThreadPoolExecutor(processes)  # noqa: E731
+        monkeypatch.setattr(code["make"], "ProcessPoolExecutor", here)
     assert texts[0] == texts[1]
     assert len(texts[0]) == 15
 

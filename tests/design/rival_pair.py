@@ -1,14 +1,12 @@
 """Two rival sets of one joint: dry friction and a dead band, with what a recording left of them."""
 
 import numpy as np
+from simulated import INERTIA, KD, KP, LATENCY, PERIOD
 
 from sim2real.diagnose.rival_sets import JointRivals, RivalSet
 from sim2real.model import FittedEffect, JointModel
 from sim2real.recording import Load
 from sim2real.servo.parameters import COLUMNS, joint_row
-
-PERIOD, INERTIA = 0.02, 0.002
-KP, KD, LATENCY = 2.2, 0.06, 0.05
 
 
 def rival(probability, effect, **parameters):

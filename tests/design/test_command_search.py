@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from simulated import robot
 from violations import violations
 
 from sim2real.design.information import Information, prior_of
@@ -10,11 +11,10 @@ from sim2real.design.plan import design
 from sim2real.design.search import FAMILIES, best, draw
 from sim2real.errors import InputError
 from sim2real.recording import Load
-from sim2real.robot import Joint, Link, Robot, Servo
-from sim2real.signals import UNIT, excitation, limited
+from sim2real.robot import Servo
+from sim2real.signals import UNIT, excitation
 
-_LINK = Link("link")
-ROBOT = Robot("b", (_LINK, _LINK), (Joint("j1", Servo("s", 1.67, 5.24, 0.00153), (-0.8, 0.8)),))
+ROBOT = robot("j1", servo=Servo("s", 1.67, 5.24, 0.00153), limits=(-0.8, 0.8))
 LIMITS = limits_of(ROBOT)
 LIGHT = Load(0.002)
 SMALL = {"drawn": 32, "rounds": 10}
@@ -74,14 +74,9 @@ def test_a_heavy_pendulum_is_moved_where_it_can_be_held(plan):
     assert "hold" not in str(plan)
 
 
-def robot(speed=5.24, limits=(-0.8, 0.8), step=0.00419, torque=1.67):
-    link = Link("link")
-    return Robot("bench", (link, link), (Joint("j1", Servo("s", torque, speed, step), limits),))
-
-
 @pytest.mark.parametrize("limits", [(-0.8, 0.8), (0.1, 0.9), (-0.3, 1.2)])
 def test_any_signal_is_brought_within_the_limits_and_then_left_alone(limits):
-    bounds = limits_of(robot(limits=limits))
+    bounds = limits_of(robot("j1", limits=limits))
     wild = 3 * np.random.default_rng(0).normal(size=(6, 400))
     commands = bounds.within(wild)
     assert any(violations(wild, bounds))
@@ -89,15 +84,8 @@ def test_any_signal_is_brought_within_the_limits_and_then_left_alone(limits):
     np.testing.assert_array_equal(bounds.within(commands), commands)
 
 
-def test_the_recorder_plays_the_commands_unchanged():
-    bench = robot()
-    commands = draw(np.random.default_rng(1), 12, limits_of(bench), 8.0)
-    for command in commands:
-        np.testing.assert_array_equal(limited(command, bench.joints[0], 50.0), command)
-
-
 def test_random_commands_are_within_the_limits_and_differ():
-    bounds = limits_of(robot(limits=(-0.2, 0.9)))
+    bounds = limits_of(robot("j1", limits=(-0.2, 0.9)))
     commands = draw(np.random.default_rng(2), 4 * len(FAMILIES), bounds, 10.0)
     assert violations(commands, bounds) == [[]] * len(commands)
     assert np.linalg.matrix_rank(commands - bounds.rest_rad) == len(commands)
@@ -116,7 +104,7 @@ def test_families_stay_below_the_highest_frequency(family):
 
 
 def test_a_heavy_load_narrows_the_range_to_where_the_servo_can_hold_it():
-    bench = robot(limits=(-0.8, 0.2))
+    bench = robot("j1", limits=(-0.8, 0.2))
     limits, heavy = limits_of(bench), Load(0.05, 1.0, 0.2)
     assert holding(limits, Load(0.05, 0.5, 0.1), bench) is limits
     low, high = holding(limits, heavy, bench).position_rad
@@ -125,6 +113,6 @@ def test_a_heavy_load_narrows_the_range_to_where_the_servo_can_hold_it():
 
 
 def test_a_load_that_the_servo_cannot_hold():
-    bench = robot(limits=(0.6, 0.9))
+    bench = robot("j1", limits=(0.6, 0.9))
     with pytest.raises(InputError, match=r"max_torque_Nm: found 1.11 N m or more to hold the load"):
         holding(limits_of(bench), Load(0.05, 1.0, 0.2), bench)

@@ -163,10 +163,6 @@ def test_where_nothing_can_be_told_it_says_so():
     assert str(found).startswith("Nothing more can be distinguished within these limits")
 
 
-def test_another_robot_is_refused():
-    message(lambda: design_for_rivals([RIVALS], robot("k1"), ASKED), "'j1'", "k1")
-
-
 def test_a_load_is_known_of_all_recordings_or_of_none():
     unknown, arm = replace(RIVALS, load=PER_INERTIA), Context("arm", {"j1": RIVALS.load})
     message(lambda: designed(unknown, [arm]), "loads.j1", "one in all or in none")
@@ -174,7 +170,8 @@ def test_a_load_is_known_of_all_recordings_or_of_none():
     message(lambda: designed(RIVALS, [elsewhere]), "'j7'")
 
 
-def test_no_rivals_left_is_said_in_one_line():
+def test_no_rivals_left_or_another_robot_is_said_in_one_line():
+    message(lambda: design_for_rivals([RIVALS], robot("k1"), ASKED), "'j1'", "k1")
     sure, other = RIVALS.sets
     sets = (replace(sure, probability=0.98), replace(other, probability=0.02))
     known = replace(RIVALS, sets=sets)

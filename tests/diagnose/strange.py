@@ -1,9 +1,7 @@
 """A servo with a torque on its shaft that is in no catalogue."""
 
 import numpy as np
-from simulated import INERTIA, KD, KP, LATENCY, NOISE, PERIOD, steps
-
-from sim2real.recording import Load, Recording
+from simulated import INERTIA, KD, KP, LATENCY, NOISE, PERIOD, one_joint, steps
 
 FINE = 20
 
@@ -21,10 +19,7 @@ def strange(seed, name, torque, seconds=12.0):
             seen = sent[max(int(np.floor((now - LATENCY) / PERIOD + 1e-9)), 0)]
             speed += h * (KP * (seen - q) - KD * speed + torque(q, speed, now)) / INERTIA
             q += h * speed
-    noisy = angle + rng.normal(0, NOISE, t.size)
-    return Recording(
-        name, "servo", ("j1",), t, sent[:, None], noisy[:, None], {"j1": Load(INERTIA)}
-    )
+    return one_joint(t, sent, angle + rng.normal(0, NOISE, t.size), name=name)
 
 
 def position_damping(q, speed, t):

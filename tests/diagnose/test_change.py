@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated import INERTIA, NOISE, column, recording, robot, row, steps, traced
+from simulated import INERTIA, NOISE, SHEET, column, recording, robot, row, steps, traced
 
 from sim.commands.diagnose import write_all
 from sim2real.diagnose.case import Case
@@ -12,27 +12,17 @@ from sim2real.diagnose.change import jump_windows, what_changed
 from sim2real.diagnose.contrast import noise_of
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.diagnose import diagnose, diagnose_all
-from sim2real.diagnose.explained import (
-    alignment,
-    beside_rest,
-    explained,
-    in_common,
-    way_of,
-)
+from sim2real.diagnose.explained import alignment, beside_rest, explained, way_of
 from sim2real.diagnose.references import law_of, with_known_servos
 from sim2real.errors import InputError
-from sim2real.identification.reading_noise import without_wrong_readings
 from sim2real.recording import Load, read_recording
 from sim2real.servo.parameters import joint_row
 from sim2real.servo.rollout import rollout
+from sim2real.servo.trace import trace
 
 RUBBING = {"coulomb_friction": {"torque_Nm": 0.03}}
 FILTERED = {"command_filter": {"time_constant_s": 0.06}}
 STEP = 0.00419
-
-
-def servo():
-    return robot("j1").joint("j1").servo
 
 
 def test_a_repeated_command_is_found_with_its_lag():
@@ -40,24 +30,6 @@ def test_a_repeated_command_is_found_with_its_lag():
     late = replace(one, t=one.t + 0.1)
     assert alignment(one, late) == pytest.approx((0.1, 0), abs=2e-3)
     assert alignment(one, traced(2, "b"))[1] > 0.5
-
-
-def test_what_repeats_share_is_taken_away():
-    one, other = traced(1, "a"), traced(2, "b")
-    bend = 0.05 * np.sin(one.t)
-    errors = [bend, bend + 0.01, np.zeros(other.t.size)]
-    shared, mates = in_common([one, replace(one), other], errors, 2)
-    assert mates == [(1,), (0,), ()]
-    np.testing.assert_allclose(shared[0], bend + 0.01, atol=1e-6)
-    assert np.isnan(shared[2]).all()
-
-
-def test_single_wrong_readings_are_left_out():
-    one = traced(1, "a")
-    position = one.position.copy()
-    position[[50, 120]] += 3.0, -2.0
-    cleaned = without_wrong_readings(replace(one, position=position))
-    assert np.flatnonzero(~cleaned.used).tolist() == [50, 120]
 
 
 def repeats(offset=0.0, *, more=None, noise=2e-5, bend=0.02):
@@ -70,31 +42,25 @@ def repeats(offset=0.0, *, more=None, noise=2e-5, bend=0.02):
         own = bend * np.sin(3 * given.position) + rng.normal(0, noise, given.position.shape)
         shift = offset if k == 2 else 0.0
         every.append(replace(given, position=given.position + own + shift))
-    return [traced_of(one) for one in every]
-
-
-def traced_of(given):
-    from sim2real.servo.trace import trace
-
-    return trace(given, "j1")
+    return [trace(one, "j1") for one in every]
 
 
 def test_a_repeat_shows_a_change_far_below_what_the_law_misses():
     a, b, case = repeats(offset=1e-3)
     assert way_of([a, b], [case]) == "repeat"
-    found = what_changed([a, b], [case], row(), servo())
+    found = what_changed([a, b], [case], row(), SHEET)
     (group,) = found.groups
     assert "sensor_offset" in group.members
     assert group.probability > 0.9
     assert found.row[column("sensor_offset.offset_rad")] == pytest.approx(1e-3, rel=0.1)
-    same = what_changed([a, b], repeats()[2:], row(), servo())
+    same = what_changed([a, b], repeats()[2:], row(), SHEET)
     assert max(g.probability for g in same.groups) < 0.5
     assert same.nameless < 0.5
 
 
 def test_a_repeat_shows_two_changes():
     a, b, case = repeats(offset=8e-3, more={"sensor_filter": {"time_constant_s": 0.02}})
-    found = what_changed([a, b], [case], row(), servo())
+    found = what_changed([a, b], [case], row(), SHEET)
     members = [set(group.members) for group in found.groups if group.probability > 0.5]
     assert len(members) == 2
     assert any("sensor_offset" in group for group in members)
@@ -103,13 +69,12 @@ def test_a_repeat_shows_two_changes():
 
 @pytest.mark.parametrize(("halfwidth_s", "named"), [(0.0, False), (0.008, True)])
 def test_a_link_that_jitters_since_shows_beside_repeats(halfwidth_s, named):
-    before = [traced_of(wandering(k)) for k in range(2)]
+    before = [trace(wandering(k), "j1") for k in range(2)]
     case = wandering(2)
     late = np.random.default_rng(5).uniform(-halfwidth_s, halfwidth_s, case.t.size)
     arrived = np.interp(case.t + late, case.t, case.command[:, 0])  # what really came
-    found = what_changed(
-        before, [traced_of(replace(case, command=arrived[:, None]))], row(), servo()
-    )
+    case = trace(replace(case, command=arrived[:, None]), "j1")
+    found = what_changed(before, [case], row(), SHEET)
     assert (found.link is not None) == named
     if found.link is not None:
         assert found.groups[0].members == ("latency_jitter",)
@@ -128,7 +93,7 @@ def wandering(seed):
 def test_what_no_effect_does_has_no_name():
     a, b, case = repeats()
     strange = np.where((case.t > 4) & (case.t < 6), 0.03 * np.sin(9 * case.t), 0.0)
-    found = what_changed([a, b], [replace(case, position=case.position + strange)], row(), servo())
+    found = what_changed([a, b], [replace(case, position=case.position + strange)], row(), SHEET)
     assert found.nameless > 0.5
     assert max(group.probability for group in found.groups) < 0.5
 
@@ -139,7 +104,7 @@ def test_a_horn_that_slips_is_a_jump_to_the_end():
     of = explained([a, b], [slipped], row(), STEP)
     ((window,),) = jump_windows(of, of.residual)
     assert window == pytest.approx((5.0, case.t[-1]), abs=0.05)
-    assert what_changed([a, b], [slipped], row(), servo()).nameless > 0.5
+    assert what_changed([a, b], [slipped], row(), SHEET).nameless > 0.5
     of = explained([a, b], [case], row(), STEP)
     assert jump_windows(of, of.residual) is None
 
@@ -155,7 +120,7 @@ def test_what_was_sent_in_a_gap_is_not_held_against_the_servo():
     of = explained([a, b], [cut], row(), STEP)
     soon = (cut.t > cut.t[200]) & (cut.t < cut.t[200] + 0.1)
     assert not of.traces[2].used[soon].any()
-    assert what_changed([a, b], [cut], row(), servo()).nameless < 0.5
+    assert what_changed([a, b], [cut], row(), SHEET).nameless < 0.5
 
 
 def slow(levels, shift=0.0, gain=1.0, seed=0):
@@ -193,7 +158,7 @@ def test_rests_are_compared_from_the_same_side():
                                               ({"gain": 1.1}, "sensor_gain")])  # fmt: skip
 def test_a_slow_recording_shows_what_changed_at_rest(more, effect):
     before = [slow(LEVELS, seed=k) for k in range(2)]
-    coarse = replace_step(servo(), 0.0015)
+    coarse = replace(SHEET, position_step_rad=0.0015)
     assert way_of(before, [slow(LEVELS)]) == "rest"
     found = what_changed(before, [slow(LEVELS, seed=3, **more)], row(), coarse)
     assert found.groups[0].probability > 0.8
@@ -203,25 +168,21 @@ def test_a_slow_recording_shows_what_changed_at_rest(more, effect):
     assert same.nameless < 0.5
 
 
-def replace_step(sheet, step_rad):
-    return type(sheet)(sheet.name, sheet.max_torque_Nm, sheet.no_load_speed_rad_s, step_rad)
-
-
 def test_a_load_that_is_stated_wrong_is_found():
     before = Load(INERTIA)
     references = [traced(k, f"ref_{k}", seconds=8.0, load=before) for k in (1, 2)]
     moved = traced(3, "a", seconds=8.0, load=before)
-    wrong = what_changed(references, [replace(moved, load=Load(1.6 * INERTIA))], row(), servo())
+    wrong = what_changed(references, [replace(moved, load=Load(1.6 * INERTIA))], row(), SHEET)
     assert "unmodelled_inertia" in wrong.named[0].members
     more = wrong.row[column("unmodelled_inertia.inertia_kgm2")]
     assert more == pytest.approx(-0.6 * INERTIA, rel=0.1)
-    assert not what_changed(references, [moved], row(), servo()).named
+    assert not what_changed(references, [moved], row(), SHEET).named
 
 
 def test_the_law_of_the_references_is_the_motors_where_it_decides():
     references = [traced(k, f"ref_{k}", seconds=8.0, **RUBBING) for k in (1, 2)]
     case = [traced(3, "a", seconds=8.0, **RUBBING)]
-    law = law_of(references, case, servo(), np.random.default_rng(0))
+    law = law_of(references, case, SHEET, np.random.default_rng(0))
     assert law.law != "pd"  # which limit its torque has makes no difference here
     of = explained(references, case, joint_row(law, None), STEP)
     assert of.way == "law"
@@ -247,11 +208,10 @@ def changed(ratio, load=None):
         given = recording(1, f"take_{seed}", 8.0, 0.0, load=load)
         angle = rollout(now[None], given.t, given.command[:, 0])[0]
         noise = np.random.default_rng(seed).normal(0, NOISE, angle.size)
-        return traced_of(replace(given, position=(angle + noise)[:, None]))
+        return trace(replace(given, position=(angle + noise)[:, None]), "j1")
 
-    stated = PENDULUM
-    case = at(3, ratio, load or stated)
-    return [at(1, 1.0, stated), at(2, 1.0, stated)], [replace(case, load=stated)], row(stated)
+    case = replace(at(3, ratio, load or PENDULUM), load=PENDULUM)
+    return [at(k, 1.0, PENDULUM) for k in (1, 2)], [case], row(PENDULUM)
 
 
 PENDULUM = Load(INERTIA, pendulum_mass_kg=0.2, pendulum_length_m=0.1)
@@ -259,7 +219,7 @@ PENDULUM = Load(INERTIA, pendulum_mass_kg=0.2, pendulum_length_m=0.1)
 
 @pytest.mark.parametrize("ratio", [0.5, 2.0])
 def test_another_gain_is_named_with_its_ratio(ratio):
-    found = what_changed(*changed(ratio), servo())
+    found = what_changed(*changed(ratio), SHEET)
     assert found.groups[0].members[0] == "kp"
     assert found.groups[0].probability > 0.9
     size = found.sizes["kp"]["ratio"]
@@ -269,12 +229,12 @@ def test_another_gain_is_named_with_its_ratio(ratio):
 
 
 def test_what_runs_differ_by_anyway_is_no_change():
-    assert not what_changed(*changed(1.03), servo()).named
+    assert not what_changed(*changed(1.03), SHEET).named
 
 
 def test_another_load_is_named_with_its_ratio():
     heavier = Load(1.4 * INERTIA, pendulum_mass_kg=0.28, pendulum_length_m=0.1)
-    found = what_changed(*changed(1.0, heavier), servo())
+    found = what_changed(*changed(1.0, heavier), SHEET)
     assert found.groups[0].members[0] == "load"
     assert found.sizes["load"]["ratio"].mean == pytest.approx(1.4, rel=0.1)
     assert found.effects == {"unmodelled_inertia", "gravity_load"}

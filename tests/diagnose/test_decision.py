@@ -1,14 +1,14 @@
 """Every number that decides: complete, with what it was read from; and the reading recovers it."""
 
-import importlib
 import json
 from dataclasses import fields, is_dataclass, replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from benchmarks import calibrate_decisions as script
+from benchmarks.decision_curves import logistic
 from sim2real.diagnose.calibrated_odds import judged, judged_together, offer, scaled, simpler
 from sim2real.diagnose.decision import CURVES, DECISION, FILE, ODDS, Odds, read_decision, read_odds
 from sim2real.diagnose.effect_probabilities import EffectPosterior, posterior
@@ -16,20 +16,6 @@ from sim2real.diagnose.investigate import _on_all
 from sim2real.diagnose.link_effect import IrregularTiming
 from sim2real.errors import InputError
 from sim2real.identification.held_out import Unseen
-
-ROOT = Path(__file__).resolve().parents[2]
-
-
-@pytest.fixture
-def script(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT))
-    return importlib.import_module("benchmarks.calibrate_decisions")
-
-
-@pytest.fixture
-def curves(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT))
-    return importlib.import_module("benchmarks.decision_curves")
 
 
 def names_of(decision, group=""):
@@ -68,14 +54,14 @@ def row(**more):
     return usual | more
 
 
-def test_a_logistic_curve_comes_back(curves):
+def test_a_logistic_curve_comes_back():
     rng = np.random.default_rng(0)
     x = np.stack([np.ones(4000), rng.normal(0, 2, 4000)], axis=1)
     y = (rng.random(4000) < 1 / (1 + np.exp(-(-1 + 0.8 * x[:, 1])))).astype(float)
-    assert curves.logistic(x, y, 2.4) == pytest.approx([-1, 0.8], abs=0.15)
+    assert logistic(x, y, 2.4) == pytest.approx([-1, 0.8], abs=0.15)
 
 
-def test_few_cases_change_nothing(script, tmp_path, monkeypatch):
+def test_few_cases_change_nothing(tmp_path, monkeypatch):
     (tmp_path / "sim2real" / "diagnose").mkdir(parents=True)
     (tmp_path / "reports").mkdir()
     target = tmp_path / "sim2real" / "diagnose" / "decision.json"
@@ -91,7 +77,7 @@ def test_few_cases_change_nothing(script, tmp_path, monkeypatch):
     assert set(report["odds"]) == set(CURVES)
 
 
-def test_the_detection_gain_is_that_from_which_most_are_named(script):
+def test_the_detection_gain_is_that_from_which_most_are_named():
     """An eighth of those below are named by chance, and as many of those above are not."""
     rows = []
     for k in range(200):

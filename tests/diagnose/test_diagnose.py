@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated import FRICTION, INERTIA, KD, KP, LATENCY, NOISE, recording, robot, two
+from simulated import FRICTION, KD, KP, LATENCY, NOISE, beside, recording, robot, two
 from strange import position_damping, strange
 
 from sim2real.diagnose.calibrated_odds import judged
@@ -18,7 +18,6 @@ from sim2real.diagnose.wording import diagnosis
 from sim2real.errors import InputError
 from sim2real.identification.identify import identify
 from sim2real.model import read_model, write_model
-from sim2real.recording import Load, Recording
 from sim2real.report.diagnosis import diagnosis_section
 from sim2real.report.page import Note
 from sim2real.servo.prediction import predict
@@ -181,15 +180,6 @@ def test_what_hardly_changes_the_error_is_listed_and_makes_no_verdict(explained)
     assert [e.effect for e in found.negligible] == [e.effect for e in explained.effects]
 
 
-def beside(first, second):
-    """Two joints in one recording."""
-    return Recording(
-        first.name, "servo", ("j1", "j2"), first.t,
-        np.hstack([first.command, second.command]), np.hstack([first.position, second.position]),
-        {"j1": Load(INERTIA), "j2": Load(INERTIA)},
-    )  # fmt: skip
-
-
 def test_only_the_joint_that_has_it_is_named():
     recordings = [
         beside(recording(k, name, seconds=5.0), recording(k + 5, name, seconds=5.0, **FRICTION))
@@ -202,7 +192,7 @@ def test_only_the_joint_that_has_it_is_named():
 
 def test_no_motion_is_refused():
     still = recording(1, "still", command=np.zeros_like)
-    flat = Recording(**{**vars(still), "position": np.zeros_like(still.position)})
+    flat = replace(still, position=np.zeros_like(still.position))
     with pytest.raises(InputError, match=r"still.csv.*no motion"):
         diagnose([flat], robot("j1"))
 

@@ -176,7 +176,4 @@ def test_between_strengths_it_is_interpolated_and_below_in_proportion(truth, pow
     """A score that falls with the strength is that of a limit."""
     strengths = np.array([0.01, 0.04, 0.16])
     assert made_up(strengths, NEEDED * (strengths / truth) ** power) == pytest.approx(truth)
-
-
-def test_what_no_strength_shows_has_no_limit():
-    assert made_up([0.01, 0.1], [0.1, 0.9 * NEEDED]) is None
+    assert made_up(strengths, [0.1, 0.1, 0.9 * NEEDED]) is None, "no strength shows"

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from scipy.signal import lfilter
 
 from sim2real.diagnose.angle_noise import with_noise
 from sim2real.diagnose.link_effect import EFFECTS, MOST_LAGS, fitted, link_of
 from sim2real.recording import Load
-from sim2real.servo.event_filter import Arrivals, Channel, EventFilter, propagator
+from sim2real.servo.event_filter import Arrivals, Channel, EventFilter
 from sim2real.servo.linearised import Residual, gain_derivatives, servo_modes
 from sim2real.servo.trace import Trace
 
@@ -118,9 +118,8 @@ def test_recovers_jitter(size):
 
 
 def test_recovers_jitter_whose_delays_are_alike():
-    rng, late = np.random.default_rng(3), np.zeros(T)
-    for k in range(1, T):
-        late[k] = 0.7 * late[k - 1] + 0.003 * np.sqrt(1 - 0.7**2) * rng.normal()
+    rng = np.random.default_rng(3)
+    late = lfilter([0.003 * np.sqrt(1 - 0.7**2)], [1.0, -0.7], rng.normal(size=T))
     t = np.arange(T) / 50
     u = command(t)
     on_time, moved = angle(t, u, t + LATENCY), angle(t, u, t + LATENCY + late)
@@ -135,14 +134,6 @@ def test_recovers_lost_set_points(share):
     loss = uneven([recording(2, loss=share)[0]])[1]
     assert loss.gain > 50
     assert size_of(loss)[0] == pytest.approx(share, abs=3 * size_of(loss)[1] + 0.2 * share)
-
-
-def test_tells_them_apart():
-    for seed in (3, 4):
-        late, lost = (fit(e, [recording(seed, jitter=0.008)[0]]).gain for e in EFFECTS)
-        assert late > 2 * lost
-        late, lost = (fit(e, [recording(seed, loss=0.05)[0]]).gain for e in EFFECTS)
-        assert lost > 1.3 * late
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -298,12 +289,3 @@ def test_the_filter_sums_over_all_histories(timing):
     track = short_track()
     ((found,),) = EventFilter([[track]], alike=0.0).run([timing], width=2000)
     assert found.loglikelihood == pytest.approx(exact(track, timing), abs=1e-6)
-
-
-def test_propagator_is_the_servo_equation():
-    modes = servo_modes(recording(1)[0])
-    (row,) = propagator(modes, np.array([0.013]))
-    A = np.array([[0, 1, 0], [-KP / INERTIA, -KD / INERTIA, KP / INERTIA], [0, 0, 0]])
-    e = expm(0.013 * A)
-    assert row[:4] == pytest.approx(e[:2, :2].ravel(), rel=1e-9)
-    assert row[4:] == pytest.approx(e[:2, 2], rel=1e-9)

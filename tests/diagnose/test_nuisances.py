@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from searching import searched
-from simulated import INERTIA, KD, KP, LATENCY, NOISE, robot, row, traced, two
+from simulated import INERTIA, KD, KP, LATENCY, NOISE, SHEET, robot, row, traced, two
 
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.diagnose import _first_look, diagnose
@@ -188,9 +188,8 @@ def test_a_payload_that_is_not_stated_is_found_where_the_rotor_is_known():
 
 def test_an_inertia_that_no_rotor_has_is_found():
     """Beyond what the data sheet makes likely, or less than nothing."""
-    small = robot("j1")
-    servo = replace(small.joints[0].servo, max_torque_Nm=3.0, no_load_speed_rad_s=400.0)
-    small = replace(small, joints=(replace(small.joints[0], servo=servo),))
+    servo = replace(SHEET, max_torque_Nm=3.0, no_load_speed_rad_s=400.0)
+    small = robot("j1", servo=servo)
     assert largest_rotor(servo) < ROTOR
     assert [one.effect for one in diagnosed(bench=small).effects] == ["unmodelled_inertia"]
     lighter = {"unmodelled_inertia": {"inertia_kgm2": -0.2 * INERTIA}}

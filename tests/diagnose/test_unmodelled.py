@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lsim
+from scipy.signal import lfilter, lsim
 from simulated import INERTIA, KD, KP, LATENCY, NOISE, PERIOD, row, steps, traced
 
 from sim2real.diagnose.remainder import remainder
@@ -25,13 +25,9 @@ from sim2real.servo.trace import Trace
 
 def wander(seed, size, share=RESIDUAL_WANDER.share):
     """An Ornstein-Uhlenbeck process as slow and as large as a sensor's may be."""
-    rng = np.random.default_rng(seed)
     keep = np.exp(-PERIOD / RESIDUAL_WANDER.time_s)
-    x = np.empty(size)
-    x[0] = rng.normal()
-    for k in range(1, size):
-        x[k] = keep * x[k - 1] + np.sqrt(1 - keep**2) * rng.normal()
-    return share * NOISE * x
+    drive = share * NOISE * np.sqrt(1 - keep**2)
+    return lfilter([drive], [1.0, -keep], np.random.default_rng(seed).normal(size=2 * size))[size:]
 
 
 def shifted(trace, more):
@@ -64,11 +60,6 @@ def test_motion_of_its_own_is_something():
     assert excess_of(wave) > 1.3
 
 
-def looked_at(traces):
-    batch = Batch([traces])
-    return unmodelled(batch, [traces], baselines(batch))[0]
-
-
 def test_a_plain_servo_has_nothing_unknown(nothing):
     (found,) = unmodelled(nothing.batch, [nothing.traces], nothing.plain)
     assert found.excess == pytest.approx(1.0, abs=0.12)
@@ -85,7 +76,8 @@ def test_a_hand_on_the_shaft_is_found_in_time():
         torque = np.where((trace.t >= at) & (trace.t < at + 0.5), 0.15, 0.0)
         _, shift, _ = lsim(([1.0], [INERTIA, KD, KP]), torque, trace.t)
         touched.append(shifted(trace, shift))
-    found = looked_at(touched)
+    batch = Batch([touched])
+    (found,) = unmodelled(batch, [touched], baselines(batch))
     assert found.excess > 1.3
     assert found.windows_evidence > 20
     for some, at in zip(found.windows, events, strict=True):
@@ -148,10 +140,6 @@ def strange(torque):
     return smooth_function(servo([pushed(torque, seed) for seed in (1, 2)]))
 
 
-def best(found):
-    return max(found.shares, key=lambda state: found.shares[state])
-
-
 @pytest.fixture(scope="module")
 def noise_only():
     return smooth_function(servo([plain(1), plain(2)]))
@@ -199,7 +187,7 @@ def test_another_joint_is_recognised():
         pull = 1e-4 * np.gradient(np.gradient(neighbour, T), T)
         motions.append(replace(pushed(lambda m, x=pull: x, seed), others=neighbour[None]))
     found = smooth_function(servo(motions))
-    assert best(found) == "other_joint"
+    assert max(found.shares, key=found.shares.get) == "other_joint"
 
 
 def test_a_wrong_gain_is_no_state_in_another_context():

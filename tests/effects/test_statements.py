@@ -8,7 +8,7 @@ from test_effects import SQUARE, STEP, T, each, simulate
 
 from sim2real.diagnose.screening import candidate
 from sim2real.effects import BODY, CAMERA, CATALOGUE, named
-from sim2real.units import readable, three_digits
+from sim2real.units import readable
 
 NUMBER = re.compile(r"(-?\d+(?:\.\d+)?(?:e[+-]\d+)?)\s?([^\s,]*)")
 UNITS = ("°", "%", "ms", "ppm", "N", "mN", "kg", "rad/s", "rad/s²")
@@ -125,13 +125,6 @@ def test_friction_falls_only_where_the_numbers_do_and_fits_start_there():
 def test_torque_per_inertia_has_its_unit():
     said = named("coulomb_friction").statement({"torque_Nm": 12.0}, per_inertia=True)
     assert "12 N m/(kg m²)" in said
-
-
-@pytest.mark.parametrize(
-    ("value", "text"), [(1234.5, "1230"), (5236.0, "5240"), (0.0123456, "0.0123"), (999.9, "1000")]
-)
-def test_three_digits_without_an_exponent(value, text):
-    assert three_digits(value) == text
 
 
 @pytest.mark.parametrize("effect", [*BODY, *CAMERA], ids=lambda effect: effect.name)

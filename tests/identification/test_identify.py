@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
-from simulated import robot
+from simulated import beside, one_joint, robot
 
 from datasets.servo_steps import make as plant
 from sim2real.errors import InputError
 from sim2real.identification.identify import identify
 from sim2real.model import read_model, write_model
-from sim2real.recording import Load, Recording, read_recording
+from sim2real.recording import Load, read_recording
 from sim2real.robot import read_robot
 from sim2real.servo.prediction import replay
 
@@ -28,12 +28,7 @@ def record(servo, command=None, *, seed=0, loads=True, name="steps", t=None, noi
     t = np.arange(0, 20, 0.02) if t is None else t
     command = plant.steps(t - 0.5, rng) * (t > 0.5) if command is None else command
     angle = plant.simulate(servo, t, t, command)[:, 0] + rng.normal(0, noise, t.size)
-    return one_joint(name, t, command, angle, Load(servo.inertia_kgm2) if loads else None)
-
-
-def one_joint(name, t, command, angle, load):
-    loads = {"j1": load} if load else {}
-    return Recording(name, "servo", ("j1",), t, command[:, None], angle[:, None], loads)
+    return one_joint(t, command, angle, Load(servo.inertia_kgm2) if loads else None, name)
 
 
 def identified(*recordings, **options):
@@ -113,7 +108,7 @@ def test_missing_samples_and_a_gap():
     keep = np.ones(recording.t.size, dtype=bool)
     keep[400:404] = False
     t, command = recording.t[keep], recording.command[keep, 0]
-    joint = identified(one_joint("steps", t, command, position[keep], Load(0.002)))
+    joint = identified(one_joint(t, command, position[keep]))
     # set-points sent in the gap are lost with it, so the tolerance is wider than without
     assert joint.kp_Nm_per_rad == pytest.approx(2.2, rel=0.03)
 
@@ -142,7 +137,7 @@ def pendulum(extra):
 
     angle = solve_ivp(slope, (0, 12), [0, 0], t_eval=t, max_step=0.005, rtol=1e-9, atol=1e-11).y[0]
     noisy = angle + np.random.default_rng(0).normal(0, 0.001, t.size)
-    return one_joint("swing", t, sent(t), noisy, Load(0.0049, 0.49, 0.1))
+    return one_joint(t, sent(t), noisy, Load(0.0049, 0.49, 0.1))
 
 
 def test_incomplete_load_is_noticed_and_can_be_fitted():
@@ -199,7 +194,7 @@ def test_missing_physics_is_not_hidden():
 
 
 def test_no_motion_above_the_noise_is_refused():
-    still = one_joint("still", HALF, 0 * HALF, 0 * HALF, None)
+    still = one_joint(HALF, 0 * HALF, 0 * HALF, None, "still")
     with pytest.raises(InputError, match=r"still.csv: j1.position_rad: found no motion"):
         identified(still)
     with pytest.raises(InputError, match="no motion above the noise of 1.5 mrad"):
@@ -226,9 +221,8 @@ def test_a_parameter_without_influence_is_found_before_the_fit():
 
 def test_a_joint_that_does_not_move_is_named():
     one = record(SERVO)
-    two = (np.hstack([values, 0 * values]) for values in (one.command, one.position))
-    recording = Recording("steps", "servo", ("j1", "j2"), one.t, *two, one.loads)
-    model = identify([recording], robot("j1", "j2"))
+    still = replace(one, command=0 * one.command, position=0 * one.position)
+    model = identify([beside(one, still)], robot("j1", "j2"))
     assert list(model.joints) == ["j1"]
     assert model.notes == ("j2 does not move in these recordings and is not identified",)
 

@@ -18,7 +18,7 @@ from sim2real.identification.servo_problem import Servos, minimise, variants
 from sim2real.identification.uncertainty import Uncertainty
 from sim2real.inference.parameters import Parameter
 from sim2real.recording import read_recording
-from sim2real.robot import Joint, Link, Robot, Servo, read_robot
+from sim2real.robot import Servo, read_robot
 from sim2real.servo.batch import Batch
 from sim2real.servo.prediction import predict
 
@@ -113,8 +113,7 @@ def test_variants_step_towards_the_inside():
 
 
 NOISE_RAD = 0.001
-LINK = Link("link", 0.1, 0.1, 0.1, 0.1)
-ROBOT = Robot("bench", (LINK, LINK), (Joint("j1", Servo("s", 9.0, 99.0, 0.0), (-1.0, 1.0)),))
+ROBOT = simulated.robot("j1", servo=Servo("s", 9.0, 99.0, 0.0))
 
 
 def found(fitted, **effects):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 from scipy.stats import binomtest
+from simulated import one_joint, robot
 
 from sim2real.identification.identify import identify
 from sim2real.identification.problem import Fit, ServoProblem, plain_row
@@ -12,8 +13,8 @@ from sim2real.identification.uncertainty import uncertainty
 from sim2real.inference.least_squares import robust_scale
 from sim2real.inference.parameters import Parameter
 from sim2real.model import FittedEffect
-from sim2real.recording import Load, Recording
-from sim2real.robot import Joint, Link, Robot, Servo
+from sim2real.recording import Load
+from sim2real.robot import Servo
 from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.prediction import predict
 from sim2real.servo.trace import Trace
@@ -138,14 +139,11 @@ def recorded(limit, kd=KD, seed=0, ramp=np.inf):
                 angle += STEP * speed
             seen[i] = angle
         seen += rng.normal(0.0, NOISE, t.size)
-        signals = (t, command[:, None], seen[:, None])
-        recordings.append(Recording(name, "servo", ("j1",), *signals, {"j1": Load(INERTIA)}))
+        recordings.append(one_joint(t, command, seen, Load(INERTIA), name))
     return recordings
 
 
-LINK = Link("link", 0.1, 0.1, 0.02, 0.02)
-SMALL = Servo("small", 1.05 * STALL, SPEED, 0.0)
-BENCH = Robot("bench", (LINK, LINK), (Joint("j1", SMALL, (-3.0, 3.0)),))
+BENCH = robot("j1", servo=Servo("small", 1.05 * STALL, SPEED, 0.0), limits=(-3.0, 3.0))
 
 
 def test_a_flat_limit_is_told_from_a_line():

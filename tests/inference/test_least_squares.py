@@ -16,7 +16,6 @@ from sim2real.inference.least_squares import (
     robust_scale,
 )
 from sim2real.inference.parameters import Parameter
-from sim2real.units import unit_of
 
 T = np.linspace(0, 3, 300)
 TRUTH = np.array([[2.0, 1.5], [1.0, 0.4], [3.0, 2.5]])
@@ -125,7 +124,7 @@ numbers = st.one_of(
 @settings(max_examples=300, deadline=None)
 @given(st.integers(1, 4), st.data())
 def test_every_search_ends_within_its_bounds(size, data):
-    """Curvatures and slopes of every sign and scale, singular and indefinite ones too."""
+    """Curvatures and slopes of any sign and scale, singular, indefinite; a start outside, too."""
     draw = arrays(float, (2, size, size), elements=numbers)
     factor = data.draw(draw)
     curvature = np.einsum("nfk,ngk->nfg", factor, factor)
@@ -134,7 +133,8 @@ def test_every_search_ends_within_its_bounds(size, data):
     slope = data.draw(arrays(float, (2, size), elements=numbers))
     reach = data.draw(arrays(float, (2, size), elements=st.floats(0, 1e3)))
     with np.errstate(all="ignore"):
-        found = minimise(quadratics(curvature, slope), 0.3 * reach, -reach, reach)
+        start = data.draw(st.sampled_from((0.3, 5.0))) * reach
+        found = minimise(quadratics(curvature, slope), start, -reach, reach)
     assert (np.abs(found.x) <= reach).all()
 
 
@@ -149,11 +149,6 @@ def test_places_without_a_parameter_stay():
 
 def test_what_ran_out_of_evaluations_has_not_converged():
     assert not minimise(expand, START, LOW, HIGH, evaluations=2, settled=1e-10).converged.any()
-
-
-def test_a_start_outside_is_brought_inside():
-    found = minimise(expand, 50 * START, LOW, HIGH, evaluations=1)
-    np.testing.assert_array_equal(found.x, 10.0)
 
 
 def test_soft_loss_is_the_sum_of_squares_of_small_residuals():
@@ -230,12 +225,3 @@ def test_a_parameter_says_its_prior_and_its_unit():
     assert str(Parameter("latency_s", 0.0, 0.5, 0.05)) == "uniform 0 to 0.5 s"
     assert str(Parameter("u_m_s", -1, 1, 0.1, 0.02, 0.3)) == "normal 0.02 ± 0.3 m/s"
     assert Parameter("kp_Nm_per_rad", 1, 2, 1, unit="1/s²").unit == "1/s²"
-
-
-@pytest.mark.parametrize(
-    "name, unit",
-    [("gap_rad", "rad"), ("limit_rad_s2", "rad/s²"), ("ki_Nm_per_rad_s", "N m/(rad s)"),
-     ("coefficient_Nms2", "N m s²"), ("s_per_s", "s/s"), ("ratio", "")],
-)  # fmt: skip
-def test_units(name, unit):
-    assert unit_of(name) == unit

@@ -58,10 +58,16 @@ def problem(*truths, seed=0):
     return Linear(design, observed)
 
 
-def searched(given, breadth=Breadth()):  # noqa: B008
-    ledgers = [Ledger(case) for case in range(len(given.observed))]
+def begun(given, base=""):
+    """A ledger of each case, with the fit of its base."""
+    ledgers = [Ledger(case, frozenset(base)) for case in range(len(given.observed))]
     for ledger in ledgers:
         ledger.keep(given.hypothesis(ledger.case, ledger.base))
+    return ledgers
+
+
+def searched(given, breadth=Breadth(), base=""):  # noqa: B008
+    ledgers = begun(given, base)
     select(given, ledgers, breadth)
     return ledgers
 
@@ -94,10 +100,7 @@ def test_no_set_is_larger_than_allowed():
 
 
 def test_a_base_stays():
-    given = problem("df")
-    ledger = Ledger(0, frozenset("d"))
-    ledger.keep(given.hypothesis(0, ledger.base))
-    select(given, [ledger])
+    (ledger,) = searched(problem("df"), base="d")
     assert ledger.best.members == frozenset("df")
     assert all("d" in members for members in ledger.tried)
 
@@ -111,9 +114,7 @@ def test_the_better_fit_of_a_set_is_kept():
 
 def test_a_case_without_budget_is_searched_no_further_than_single_candidates():
     given = problem("bde", "bde")
-    ledgers = [Ledger(case) for case in range(2)]
-    for ledger in ledgers:
-        ledger.keep(given.hypothesis(ledger.case, ledger.base))
+    ledgers = begun(given)
     select(given, ledgers, exhausted=lambda ledger: ledger.case == 1)
     assert ledgers[0].best.members == frozenset("bde")
     assert {len(members) for members in ledgers[1].tried} == {0, 1}
@@ -122,9 +123,8 @@ def test_a_case_without_budget_is_searched_no_further_than_single_candidates():
 
 def test_a_set_whose_fit_was_poor_is_tried_again_from_a_better_place():
     given = problem("de")
-    ledger = Ledger(0)
-    for members in ("", "d"):
-        ledger.keep(given.hypothesis(0, frozenset(members)))
+    (ledger,) = begun(given)
+    ledger.keep(given.hypothesis(0, frozenset("d")))
     poor = given.hypothesis(0, frozenset("de"))
     ledger.keep(Hypothesis(poor.members, poor.fit, ledger.plain.evidence - 100.0))
     widen(given, [ledger])
@@ -134,8 +134,7 @@ def test_a_set_whose_fit_was_poor_is_tried_again_from_a_better_place():
 
 def test_no_set_is_widened_beyond_the_most():
     given = problem("def")
-    ledger = Ledger(0)
-    ledger.keep(given.hypothesis(0, frozenset()))
+    (ledger,) = begun(given)
     widen(given, [ledger], most=2)
     assert len(ledger.best.members) == 2
 

@@ -66,14 +66,6 @@ def test_another_seed_is_another_chain():
     assert not np.array_equal(sampled(20).coordinates, sampled(20, seed=2).coordinates)
 
 
-@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut short", b"no chain"])
-def test_a_file_that_is_no_chain(tmp_path, content):
-    file = tmp_path / "chain.npz"
-    file.write_bytes(content)
-    with pytest.raises(InputError, match="found no chain"):
-        read_chain(file)
-
-
 SCRIPT = """
 import sys
 from pathlib import Path

@@ -84,6 +84,7 @@ def test_camera():
     assert place.first == 0 and place.second == pytest.approx(0.05, rel=0.06)
     assert heading.second == pytest.approx(0.05, rel=0.06)
     assert "r0, r1, r2, r3" in heading.source
+    assert camera_noise([simulated.recording()]) == [], "without a camera"
 
 
 def test_repeated_frames_and_lost_ones():
@@ -95,10 +96,6 @@ def test_repeated_frames_and_lost_ones():
         columns[name] = held
     place, _ = camera_noise([replace(recording, columns=columns)])
     assert place.second == pytest.approx(0.05, rel=0.15)
-
-
-def test_no_camera():
-    assert camera_noise([simulated.recording()]) == []
 
 
 def test_joint():

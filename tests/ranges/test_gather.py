@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import simulated
 
+from benchmarks import paper_table as paper
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.ranges.entry import read_ranges, write_ranges
@@ -33,7 +34,7 @@ def found(bench):
     return gather(bench, ROBOT, Model({"j1": JOINT}), SAMPLING)
 
 
-def test_the_papers_table_comes_back(paper, monkeypatch):
+def test_the_papers_table_comes_back(monkeypatch):
     monkeypatch.setattr(paper, "SECONDS", 15.0)
     recordings, latency = paper.episodes(np.random.default_rng(2))
     ratios = paper.compared(gather(recordings, paper.ROBOT, paper.MODEL).ranges)

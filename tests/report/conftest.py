@@ -8,6 +8,7 @@ import pytest
 
 from sim2real.model import JointModel, Model
 from sim2real.recording import Load, Recording
+from sim2real.report.series import fit_figure
 
 JOINTS = ("j1", "j2", "j3")
 NOTE = (
@@ -27,6 +28,11 @@ class Bench:
     def fits(self):
         columns = enumerate(self.recording.joints)
         return [(self.recording, j, self.predicted[:, k], self.heldout) for k, j in columns]
+
+    def figure(self):
+        """The fit of the first joint, with the noise of its sensor."""
+        recording, joint, predicted, heldout = self.fits[0]
+        return fit_figure(recording, joint, predicted, heldout=heldout, noise_rad=0.0019)
 
 
 def follow(t, moves, levels, rate):

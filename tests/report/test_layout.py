@@ -12,7 +12,6 @@ from sim2real.report.diagnosis_plots import bar_figure
 from sim2real.report.drawing import svg
 from sim2real.report.identification import parameter_figure
 from sim2real.report.ranges import density_figure, latency_figure
-from sim2real.report.series import fit_figure
 from sim2real.report.style import POINTS_PER_INCH, house_style
 
 SLACK_POINTS = 1.0
@@ -25,12 +24,6 @@ SPREAD = SimpleNamespace(centre=0.07, half_width=0.02)
 LATENCIES = SimpleNamespace(
     seconds=np.full(7, 0.07), sd=np.full(7, 0.01), windows=True, spread=SPREAD
 )
-
-
-def _fit(bench):
-    return fit_figure(
-        bench.recording, "j1", bench.predicted[:, 0], heldout=bench.heldout, noise_rad=0.0019
-    )
 
 
 def _returns():
@@ -47,7 +40,7 @@ def _bars():
 
 
 FIGURES = {
-    "fit": _fit,
+    "fit": lambda bench: bench.figure(),
     "parameters": lambda bench: parameter_figure(bench.model),
     "density": lambda bench: density_figure(DENSITY),
     "latency": lambda bench: latency_figure(LATENCIES),

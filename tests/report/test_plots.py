@@ -1,8 +1,6 @@
 """Figures: what they draw, and the SVG and PNG that are made of them."""
 
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -33,31 +31,7 @@ def timing_figure(recording):
 
 @pytest.fixture(scope="module")
 def fit(bench):
-    return fit_figure(
-        bench.recording, "j1", bench.predicted[:, 0], heldout=bench.heldout, noise_rad=0.0019
-    )
-
-
-def test_importing_the_report_loads_neither_matplotlib_nor_jinja():
-    heavy = "{'matplotlib', 'jinja2'}"
-    program = f"import sys, sim2real.report.notebook as _; print({heavy} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert done.stdout.strip() == "set()", done.stderr
-
-
-@pytest.mark.parametrize("library", ["matplotlib", "jinja2"])
-def test_a_missing_library_is_said_in_one_line(library, monkeypatch, bench, tmp_path):
-    from sim2real.report.page import write_page
-
-    monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(ModuleNotFoundError) as raised:
-        timing_figure(bench.recording)
-        write_page(tmp_path / "page.html", "", "", [], {})
-    name = {"matplotlib": "Matplotlib", "jinja2": "Jinja"}[library]
-    assert str(raised.value) == (
-        f"plots and pages: found no {name}, expected it installed: pip install 'sim2real[report]' "
-        "(in a clone: pip install -e '.[report]')"
-    )
+    return bench.figure()
 
 
 def test_drawing_changes_no_global_setting(bench):
@@ -143,10 +117,7 @@ def test_svg_uses_the_colours_of_the_page(fit):
 
 
 def test_svg_is_deterministic_and_leaves_the_figure_as_it_was(bench, fit):
-    again = fit_figure(
-        bench.recording, "j1", bench.predicted[:, 0], heldout=bench.heldout, noise_rad=0.0019
-    )
-    assert svg(fit) == svg(fit) == svg(again)
+    assert svg(fit) == svg(fit) == svg(bench.figure())
 
 
 def test_names_and_numbers_are_text():

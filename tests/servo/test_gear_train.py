@@ -14,7 +14,7 @@ from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.gear_train import SPRING_DAMPING
-from sim2real.servo.parameters import COLUMNS, LINE, context_factors, joint_row, stated
+from sim2real.servo.parameters import COLUMNS, LINE, joint_row, stated
 from sim2real.servo.prediction import predict_recordings
 from sim2real.servo.rollout import rollout, rollout_on
 from sim2real.servo.trace import reported_drive, trace
@@ -85,19 +85,17 @@ def test_flanks_rebound_and_the_controller_sees_either_side(dry, held, restituti
     assert rms(angle - expected) < 3e-4
 
 
+SEEN = {"control_on_output": 1.0, "damping_ratio": 0.5}
+
+
 @pytest.mark.parametrize("dry", [0.0, 0.05])
-def test_a_controller_that_sees_the_end_of_a_spring(dry):
-    spring = {"compliance_rad_per_Nm": 0.02, "sensor_on_output": 1.0}
-    spring |= {"control_on_output": 1.0, "damping_ratio": 0.5}
+@pytest.mark.parametrize(
+    ("give", "more", "alike"), [(0.05, {}, {}), (0.02, SEEN, {"on_output": 1.0, "ratio": 0.5})]
+)
+def test_springs_agree_with_small_steps_whichever_end_the_controller_sees(dry, give, more, alike):
+    spring = {"compliance_rad_per_Nm": give, "sensor_on_output": 1.0} | more
     angle = simulated(dry, "compliance", spring)
-    expected = reference(dry, 0.0, compliance=0.02, on_output=1.0, ratio=0.5)
-    assert rms(angle - expected) < 1e-4
-
-
-@pytest.mark.parametrize("dry", [0.0, 0.05])
-def test_a_spring_agrees_with_small_steps(dry):
-    angle = simulated(dry, "compliance", {"compliance_rad_per_Nm": 0.05, "sensor_on_output": 1.0})
-    assert rms(angle - reference(dry, 0.0, compliance=0.05)) < 1e-4
+    assert rms(angle - reference(dry, 0.0, compliance=give, **alike)) < 1e-4
 
 
 def play(rotor):
@@ -160,19 +158,8 @@ def test_the_motor_is_measured_or_the_load():
     assert np.abs(angle(0.0) - angle(1.0)).max() > 0.01
 
 
-ONE = {"supply_ratio": 1.0, "gain_ratio": 1.0}
-
-
 def column(values, name):
     return values[COLUMNS.index(name)]
-
-
-def test_supply_scales_what_the_voltage_gives_and_gain_the_gain():
-    factors = context_factors(0.5, 3.0)
-    assert column(factors, "kp_Nm_per_rad") == 1.5
-    assert column(factors, "motor.stall_torque_Nm") == 0.5
-    assert column(factors, "motor.no_load_speed_rad_s") == 0.5
-    assert np.count_nonzero(factors != 1) == 3
 
 
 def test_every_simulation_heeds_the_context():
@@ -205,13 +192,19 @@ def test_a_recording_that_samples_late_shows_the_whole_latency():
     assert rmse < 0.0006
 
 
-@pytest.mark.parametrize("name", ["supply_ratio", "gain_ratio"])
-def test_a_prediction_is_of_the_recording_s_context(name):
+@pytest.mark.parametrize(
+    ("context", "gain", "volts"),
+    [({"supply_ratio": 0.5}, 0.5, 0.5), ({"gain_ratio": 0.5}, 0.5, 1.0),
+     ({"supply_ratio": 0.5, "gain_ratio": 3.0}, 1.5, 0.5)],
+)  # fmt: skip
+def test_supply_scales_what_the_voltage_gives_and_gain_the_gain(context, gain, volts):
     motor = {"stall_torque_Nm": 0.4, "no_load_speed_rad_s": 5.0}
     model = Model({"j1": replace(stated(row(), Load(INERTIA)), law="motor", motor=motor)})
-    there = replace(recording(seconds=4.0), metadata={"context": {name: 0.5}})
+    there = replace(recording(seconds=4.0), metadata={"context": context})
     (angles,) = predict_recordings([there], model).angles
-    scaled = joint_row(model.joints["j1"], None) * context_factors(**{**ONE, name: 0.5})
+    scaled = joint_row(model.joints["j1"], None)
+    scaled[COLUMNS.index("kp_Nm_per_rad")] *= gain
+    scaled[[COLUMNS.index(name) for name in LINE]] *= volts
     expected = rollout(scaled[None], there.t, there.command[:, 0])[0]
     np.testing.assert_allclose(angles[:, 0], expected, atol=1e-9)
     (usual,) = predict_recordings([replace(there, metadata={})], model).angles

@@ -1,31 +1,25 @@
 """The law of a motor behind gears: its limits, its exact solutions, what recordings tell of it."""
 
 import dataclasses
-import importlib.util
 import json
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from simulated import one_joint, robot
 
+from datasets.servo_steps import make as plant
 from sim2real.errors import InputError
 from sim2real.identification.identify import identify
 from sim2real.identification.problem import ServoProblem
 from sim2real.identification.search import robust_order
 from sim2real.inference.parameters import Parameter
 from sim2real.model import JointModel, Model, read_model, write_model
-from sim2real.recording import Load, Recording
-from sim2real.robot import Joint, Link, Robot, Servo
+from sim2real.recording import Load
+from sim2real.robot import Servo
 from sim2real.servo.parameters import joint_row
 from sim2real.servo.rollout import STEPS_PER_RADIAN, rollout
 from sim2real.servo.trace import reported_drive
-
-DATA = Path(__file__).parents[2] / "datasets" / "servo_steps"
-spec = importlib.util.spec_from_file_location("servo_steps_make_motor", DATA / "make.py")
-plant = sys.modules["servo_steps_make_motor"] = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(plant)
 
 KP, KD, LATENCY, INERTIA = 1.38, 0.068, 0.0617, 0.0022
 LINE = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 5.2}
@@ -135,10 +129,8 @@ def test_a_sampled_loop_is_late_by_half_its_period():
     assert np.abs(sampled - alike).max() < 0.5 * np.abs(sampled - plain).max()
 
 
-def bench(servo=None):
-    servo = servo or Servo("small", 1.67, 5.24, 0.0)
-    link = Link("link", 0.1, 0.1, 0.02, 0.02)
-    return Robot("bench", (link, link), (Joint("j1", servo, (-3.0, 3.0)),))
+def bench(torque=1.67, speed=5.24):
+    return robot("j1", servo=Servo("small", torque, speed, 0.0), limits=(-3.0, 3.0))
 
 
 def recorded(load=None, seed=0, **motor):
@@ -149,8 +141,7 @@ def recorded(load=None, seed=0, **motor):
     command += np.where((t // 1.7) % 2 > 0, 0.4, 0.0) * (t > 0.3)
     angle = rollout(row(load, **motor)[None], t, command)[0]
     angle += rng.normal(0.0, 1e-3, t.size)
-    loads = {"j1": load or Load(INERTIA)}
-    return Recording("moves", "servo", ("j1",), t, command[:, None], angle[:, None], loads)
+    return one_joint(t, command, angle, load or Load(INERTIA))
 
 
 def test_the_line_is_found_with_the_gains():
@@ -247,8 +238,7 @@ def stepped(rng, t, simulated):
     levels = rng.uniform(-0.6, 0.6, 80)
     command = levels[np.searchsorted(np.cumsum(rng.uniform(0.3, 0.9, 79)), t - 0.3)] * (t > 0.3)
     angle = simulated(command) + rng.normal(0.0, 5e-4, t.size)
-    loads = {"j1": Load(INERTIA)}
-    return Recording("steps", "servo", ("j1",), t, command[:, None], angle[:, None], loads)
+    return one_joint(t, command, angle, Load(INERTIA))
 
 
 def test_gains_of_a_mujoco_joint_come_back():
@@ -258,7 +248,7 @@ def test_gains_of_a_mujoco_joint_come_back():
         t,
         lambda sent: mujoco_joint(t, sent, KP, KD, LATENCY, INERTIA, 0.03),
     )
-    model = identify([made], bench(Servo("small", 5.0, 5.0 / KD, 0.0)))
+    model = identify([made], bench(5.0, 5.0 / KD))
     joint, figures = model.joints["j1"], model.fit["j1.position_rad"]
     assert joint.kp_Nm_per_rad == pytest.approx(KP, rel=0.02)
     assert joint.kd_Nms_per_rad == pytest.approx(KD, rel=0.02)
@@ -272,7 +262,7 @@ def test_a_loop_whose_looks_set_points_wait_for_is_found():
     t = np.arange(2500) / 97.0 + rng.normal(0.0, 3e-4, 2500)  # the loop keeps other time
     t -= t[0]
     made = stepped(rng, t, lambda sent: rollout(row(**motor)[None], t, sent)[0])
-    model = identify([made], bench(Servo("small", 1.6, 1.6 / KD, 0.0)))
+    model = identify([made], bench(1.6, 1.6 / KD))
     joint = model.joints["j1"]
     assert joint.motor["loop_period_s"] == pytest.approx(0.005, rel=1e-3)
     assert joint.kp_Nm_per_rad == pytest.approx(KP, rel=0.02)
@@ -288,7 +278,7 @@ def test_a_loop_in_step_with_the_samples_is_said_not_to_be_told(odd):
     if odd:
         t[1:] += rng.uniform(-0.004, 0.004, t.size - 1)
     made = stepped(rng, t, lambda sent: rollout(row(**FAST)[None], t, sent)[0])
-    (joint,) = identify([made], bench(Servo("small", 1.6, 1.6 / KD, 0.0))).joints.values()
+    (joint,) = identify([made], bench(1.6, 1.6 / KD)).joints.values()
     assert "loop_period_s" not in joint.motor
     said = [note for note in joint.notes if "synchronous with their samples" in note]
     assert len(said) == (0 if odd else 1)

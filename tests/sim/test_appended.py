@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from swimming_robots import FISH, moving, servos
+from swimming_robots import FISH, glide, moving, servos
 
 from sim.inference.calibration import calibrate
 from sim.inference.coordinates import appendage_parameters, candidates
@@ -15,7 +15,6 @@ from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim.twin.law import Coefficients
 from sim.twin.twin import Twin
 from sim2real.appendages import Appendage
-from sim2real.body import listed
 from sim2real.errors import InputError
 from sim2real.model import JointModel, Model
 from sim2real.ranges.sources import body_ranges
@@ -34,7 +33,7 @@ def carrying(appendage, link=0):
     return replace(FISH, links=tuple(links))
 
 
-def glide(robot, model, seconds, velocity):
+def glided(robot, model, seconds, velocity):
     """Path of the straight twin that starts with a velocity and no water's force, with rates."""
     twin = Twin(robot, model, substeps=20)
     twin.reset(pose=np.zeros(3))
@@ -51,7 +50,7 @@ def test_a_box_slows_a_glide_as_the_formula_says():
     """du / dt = - A rho / 2 (M + m) u^2, so u = u0 / (1 + A rho u0 t / 2 (M + m))."""
     box = replace(BOX, at_m=(0.05, 0.0, 0.0), drag=(0.9, 0.1))
     robot = carrying(box)
-    twin, states = glide(robot, STIFF, 1.0, (0.4, 0.0, 0.0))
+    twin, states = glided(robot, STIFF, 1.0, (0.4, 0.0, 0.0))
     wetted = box.wetted(twin.surface_m)
     mass = sum(link.mass_kg for link in FISH.links) + WATER * wetted.added_mass_m3[0]
     drag = 0.5 * WATER * wetted.area_m2[0] * 0.4 / mass
@@ -59,14 +58,14 @@ def test_a_box_slows_a_glide_as_the_formula_says():
     assert wetted.area_m2[0] == pytest.approx(0.9 * 0.06 * 0.05)
     assert speeds[-1] == pytest.approx(0.4 / (1 + drag), rel=2e-3)
     more = with_values(STIFF, {"appendage_area.ratio": 1.0})
-    faster = glide(robot, more, 1.0, (0.4, 0.0, 0.0))[1][-1].velocity[0, 0]
+    faster = glided(robot, more, 1.0, (0.4, 0.0, 0.0))[1][-1].velocity[0, 0]
     assert faster == pytest.approx(0.4 / (1 + 2 * drag), rel=2e-3)
 
 
 def test_added_mass_keeps_momentum_and_energy():
     """A box off the axis turns with the body: Kirchhoff's equations, without drag."""
     box = replace(BOX, drag=(0.0, 0.0), lateral_drag=(0.0, 0.0))
-    twin, states = glide(carrying(box), STIFF, 2.0, (0.3, 0.1, 1.5))
+    twin, states = glided(carrying(box), STIFF, 2.0, (0.3, 0.1, 1.5))
     laden = twin.chain.laden.numpy()[0, 0]
     assert laden[1, 1] > 1.2 * laden[0, 0] > 0
     mass = twin.chain.mass.numpy()[0]
@@ -97,8 +96,10 @@ def test_added_mass_keeps_momentum_and_energy():
 
 
 def test_drag_off_the_axis_turns_the_robot():
-    left = glide(carrying(replace(BOX, at_m=(0.05, 0.05, 0.0))), STIFF, 0.5, (0.4, 0.0, 0.0))[1]
-    right = glide(carrying(replace(BOX, at_m=(0.05, -0.05, 0.0))), STIFF, 0.5, (0.4, 0.0, 0.0))[1]
+    left, right = (
+        glided(carrying(replace(BOX, at_m=(0.05, y, 0.0))), STIFF, 0.5, (0.4, 0.0, 0.0))[1]
+        for y in (0.05, -0.05)
+    )
     assert left[-1].velocity[0, 2] > 0.05
     assert right[-1].velocity[0, 2] == pytest.approx(-left[-1].velocity[0, 2])
 
@@ -119,20 +120,8 @@ def test_the_fluid_has_the_drag_of_the_twin():
     """On the head of a straight robot an area resists as the form drag of the same area."""
     hull = hull_of(FISH)
     frontal = np.pi * float((hull.half_width * hull.half_height).max())
-
-    def speed(**effects):
-        named = {name.replace("__", "."): v for name, v in effects.items()}
-        model = replace(servos(), body={"effects": listed(named)})
-        swimmer = Swimmer(FISH, model, dimensions=2, cell_m=0.04, box_m=(0.9, 0.9, 0.4))
-        q, v = swimmer.bodies.motion.q.numpy(), np.zeros((1, 6))
-        v[0, 0] = 0.3
-        swimmer.bodies.place(q, v)
-        for _ in range(15):
-            swimmer.step(np.zeros(3))
-        return swimmer.state().velocity[0, 0]
-
-    plain, form = speed(), speed(form_drag__coefficient=1.0)
-    area = speed(appendage_drag__area_m2=frontal, appendage_drag__x_m=0.1)
+    plain, form = glide(15), glide(15, form_drag__coefficient=1.0)
+    area = glide(15, appendage_drag__area_m2=frontal, appendage_drag__x_m=0.1)
     assert area == pytest.approx(form, abs=0.02 * (plain - form))
     assert plain - form > 0.01
 

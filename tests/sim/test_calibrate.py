@@ -11,7 +11,6 @@ from sim.inference.calibration import Calibrated, FluidSettings, calibrate, cali
 from sim.inference.coordinates import (
     effect_parameters,
     servo_parameters,
-    signals_of,
     twin_parameters,
     water_parameters,
 )
@@ -154,24 +153,6 @@ def some(*names):
 def calibrated(truth, count, **options):
     settings = FluidSettings(0.01, rollouts=count)
     return calibrate_in_fluid([recorded(truth)], servos(), FISH, TWIN, settings, **options)
-
-
-def test_an_emulator_is_the_simulator_near_its_centre():
-    free = [*servo_parameters(servos(), FISH), *some("form_drag", "skin_elasticity")]
-    swim = recorded({})
-    emulated = emulator(TWIN, [swim], servos(), free, count=40)
-    near = with_values(
-        servos(),
-        {
-            "form_drag.coefficient": 0.06,
-            "j1.latency_s": 0.074,
-            "skin_elasticity.stiffness_Nm_per_rad": 0.35,
-        },
-    )
-    (said,) = signals_of([near], swim, emulated)
-    start, exact = simulated(swim, [servos(), near], TWIN)
-    off = np.sqrt(np.mean((said - exact) ** 2, axis=0))
-    assert (off < 0.2 * np.sqrt(np.mean((start - exact) ** 2, axis=0)) + 1e-3).all()
 
 
 def test_rollouts_that_were_stopped_are_left_out_and_most_must_be_whole():

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from good_input import refused
 from swimming_robots import FISH, LAW, servos
 from test_calibrate import SENT, TIMES
 
@@ -357,12 +358,11 @@ def test_a_shape_without_a_name_makes_it_abstain():
 
 def test_swims_need_a_model_and_no_bench_beside_them(tmp_path, capsys):
     robot = ["--robot", "datasets/pool/robot.toml", "--out", str(tmp_path / "d.json")]
-    assert main(["diagnose", "datasets/pool/p1.csv", *robot]) == 2
-    assert "the model of the servos" in capsys.readouterr().err
-    model = ["--model", "datasets/pool/model.json"]
+    status = main(["diagnose", "datasets/pool/p1.csv", *robot])
+    refused(capsys, status, "the model of the servos")
     both = ["datasets/pool/p1.csv", "datasets/servo_steps/steps.csv"]
-    assert main(["diagnose", *both, *robot, *model]) == 2
-    assert "swims alone" in capsys.readouterr().err
+    status = main(["diagnose", *both, *robot, "--model", "datasets/pool/model.json"])
+    refused(capsys, status, "swims alone")
     assert not (tmp_path / "d.json").exists()
 
 

@@ -1,17 +1,15 @@
 """The simulator's own error: shapes in the signals, those of a robot and those of one swim."""
 
-import importlib
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from swimming_robots import FISH, servos
-from test_diagnose_swims import IN_WATER, swum
+from test_diagnose_swims import IN_WATER, only, swum
 
-import sim.inference.coordinates as places
+from benchmarks import pool_law_error as learning
 from sim.inference import signal_error
-from sim.inference.coordinates import Coordinates, candidates, signals_at, signals_of
+from sim.inference.coordinates import Coordinates, signals_at, signals_of
 from sim.inference.law_error import learned
 from sim.inference.searched import searched
 from sim.inference.swim_problem import COST, SwimProblem
@@ -23,9 +21,7 @@ OURS = replace(IN_WATER, shift={}, usual={})
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch):
-    names = ("camera_latency", "linear_drag")
-    listed = {one: free for one, free in candidates(FISH).items() if one[0] in names}
-    monkeypatch.setattr(places, "candidates", lambda robot: listed)
+    only(monkeypatch, ("camera_latency", "linear_drag"))
 
 
 def slower(swim, share):
@@ -90,13 +86,7 @@ def test_an_error_that_is_usual_is_no_evidence():
     assert evidence(12 * own) > 12.0
 
 
-@pytest.fixture
-def learning(monkeypatch):
-    monkeypatch.syspath_prepend(Path(__file__).parents[2])
-    return importlib.import_module("benchmarks.pool_law_error")
-
-
-def robots(learning, rng, own, common, usual, count=40, swims=6):
+def robots(rng, own, common, usual, count=40, swims=6):
     """Robots of two columns: a law that is the robot's, an error that is a swim's and the robot's.
 
     Each swim tells both, in noise of 0.01.
@@ -120,9 +110,9 @@ def robots(learning, rng, own, common, usual, count=40, swims=6):
     return out
 
 
-def test_what_robots_differ_by_and_what_their_swims_do_are_told_apart(learning):
+def test_what_robots_differ_by_and_what_their_swims_do_are_told_apart():
     own, common, usual = 0.05, 0.2, 0.4
-    given = robots(learning, np.random.default_rng(0), own, common, usual)
+    given = robots(np.random.default_rng(0), own, common, usual)
     levels = (
         np.full((4, 3), 0.01), {"error.surge_0": 0.1},
         {"twin.across": 0.1, "error.surge_0": 0.1}, {"twin.across": 0.0},
@@ -137,8 +127,8 @@ def test_what_robots_differ_by_and_what_their_swims_do_are_told_apart(learning):
     assert np.all(shares < 0.01)
 
 
-def test_what_was_known_of_robots_counts(learning):
-    few = robots(learning, np.random.default_rng(1), 0.05, 0.2, 0.0, count=2)
+def test_what_was_known_of_robots_counts():
+    few = robots(np.random.default_rng(1), 0.05, 0.2, 0.0, count=2)
     begun = (
         np.full((4, 3), 0.01), {"error.surge_0": 0.05},
         {"twin.across": 1.0, "error.surge_0": 0.2}, {"twin.across": 0.0},

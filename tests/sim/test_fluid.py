@@ -6,7 +6,7 @@ import pytest
 from benchmarks.validation import slender, swimmers
 from benchmarks.validation.__main__ import main
 from benchmarks.validation.case import Where
-from benchmarks.validation.still import taylor_green, vortices
+from benchmarks.validation.still import vortices
 from benchmarks.validation.streams import cavity
 from sim.fluid.fluid import Fluid
 from sim.lattice.cell import MOVING, SLIP, SOLID
@@ -31,14 +31,6 @@ def waves(size, speed=0.05, seed=0, modes=3):
     if size[2] == 1:
         u[..., 2] = 0
     return 1 + 0.2 * total[0], u
-
-
-def flowing(lattice, steps=11, size=None, viscosity=0.02, **more):
-    fluid = Fluid(lattice, size or SIZES[lattice], viscosity=viscosity, **more)
-    density, u = waves(fluid.size)
-    fluid.set(density, u)
-    fluid.step(steps)
-    return fluid
 
 
 @BOTH
@@ -162,16 +154,20 @@ def test_a_stream_carries_vortices_along_unchanged(lattice):
     assert errors[1] < 0.03
 
 
-@pytest.mark.parametrize("run", [taylor_green, cavity])
-def test_published_cases_are_met(run):
-    assert [figure.quantity for figure in run(Where(quick=True)).figures if not figure.met] == []
+def test_the_cavity_is_the_published_one():
+    assert [one.quantity for one in cavity(Where(quick=True)).figures if not one.met] == []
 
 
 @BOTH
 def test_threads_make_no_difference(lattice):
     size = (96, 64) if lattice is D2Q9 else (24, 18, 12)
-    one, two = (flowing(lattice, 15, size, threads=threads) for threads in (1, 2))
-    assert np.array_equal(one.f.numpy(), two.f.numpy())
+    ends = []
+    for threads in (1, 2):
+        fluid = Fluid(lattice, size, viscosity=0.02, threads=threads)
+        fluid.set(*waves(fluid.size))
+        fluid.step(15)
+        ends.append(fluid.f.numpy())
+    assert np.array_equal(*ends)
 
 
 def test_a_cell_that_is_too_fast_stops_its_own_box_and_is_named():
@@ -253,7 +249,7 @@ def test_a_slipping_spheroid_carries_the_water_that_lamb_says(monkeypatch):
 
 
 def test_the_program_prints_figures_and_writes_a_page(tmp_path, capsys):
-    page = tmp_path / "validation.html"
+    page = tmp_path / "validation.html"  # its exit status is 1 if a figure is not met
     assert main(["--quick", "--only", "taylor_green", "--out", str(page)]) == 0
     printed = capsys.readouterr().out
     assert "order of convergence" in printed and "met" in printed

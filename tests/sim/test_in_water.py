@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from good_input import refused
 from swimming_robots import FISH, servos
 from test_calibrate import SENT
 from test_diagnose_swims import swum
@@ -101,13 +102,17 @@ def test_the_nearest_law_swims_as_the_fluid_did(water):
     assert after < 0.4 * before
 
 
-def test_what_effects_change_is_in_doubt_but_of_the_camera_and_the_current(water):
+def in_the(water):
+    """One swim as a problem of fits in this water, without references."""
     model = water.of(servos())
-    c = Coordinates.of(FISH, model)
-    swim = swum({})
     simulate = by_twin_in_water(FISH, model, water)
     before = learned([], model, FISH, simulate, KNOWN)
-    problem = SwimProblem(c, [swim], simulate, before)
+    return SwimProblem(Coordinates.of(FISH, model), [swum({})], simulate, before)
+
+
+def test_what_effects_change_is_in_doubt_but_of_the_camera_and_the_current(water):
+    problem = in_the(water)
+    c, model, (swim,) = problem.coordinates, water.of(servos()), problem.swims
 
     def change(begun=None, **given):
         x = c.nominal
@@ -132,21 +137,17 @@ def test_what_effects_change_is_in_doubt_but_of_the_camera_and_the_current(water
 
 def test_what_is_wrong_of_a_change_all_along_is_no_evidence(water):
     """A skin whose effect the twin has a tenth too large, late, leaves less for others to say."""
-    model = water.of(servos())
-    simulate = by_twin_in_water(FISH, model, water)
-    before = learned([], model, FISH, simulate, KNOWN)
-    c = Coordinates.of(FISH, model)
-    swim = swum({})
+    plain = in_the(water)
+    c, (swim,), before = plain.coordinates, plain.swims, plain.prior
     x = c.nominal
     x[c.place["skin_elasticity.stiffness_Nm_per_rad"]] = 1.2
-    plain = SwimProblem(c, [swim], simulate, before)
     change = changed(plain, x)
     wrong = replace(swim, signals=swim.signals + 0.1 * change[0] * [0, 0, 0, 1, 1, 1])
     none = frozenset()
 
     def lost(prior):
         """Evidence that the error takes away."""
-        told = [SwimProblem(c, [given], simulate, prior) for given in (swim, wrong)]
+        told = [SwimProblem(c, [one], plain.simulate, prior) for one in (swim, wrong)]
         size, at = (one.evidence(none, one.at(one.centre(none))) for one in told)
         return size - at
 
@@ -167,11 +168,10 @@ def test_files_that_are_none_or_of_other_swims_are_told(water, tmp_path, capsys)
     command = ["diagnose", f"{pool}p1.csv", "--robot", f"{pool}robot.toml", "--out", str(out)]
     command += ["--model", f"{pool}model.json", "--in-water"]
     (tmp_path / "text.npz").write_text("t,x\n")
-    assert main([*command, str(tmp_path / "text.npz")]) == 2
-    assert "no swims in water" in capsys.readouterr().err
+    refused(capsys, main([*command, str(tmp_path / "text.npz")]), "no swims in water")
     write_water(tmp_path / "other.npz", water)
-    assert main([*command, str(tmp_path / "other.npz")]) == 2
-    assert "no simulation of the commands of" in capsys.readouterr().err
+    status = main([*command, str(tmp_path / "other.npz")])
+    refused(capsys, status, "no simulation of the commands of")
     assert not out.exists()
 
 

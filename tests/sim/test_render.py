@@ -1,12 +1,9 @@
 """Pictures and videos of a swim."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from swimming_robots import FISH, servos
+from swimming_robots import FISH, in_a_box, with_effects
 
-from sim.robot.swimmer import Swimmer
 from sim.view.plane import depth, plane_of
 from sim.view.render import picture, save_picture
 from sim.view.video import Video
@@ -17,7 +14,7 @@ BOX = (0.9, 0.7, 0.4)
 
 
 def fish(**more):
-    return Swimmer(FISH, servos(), dimensions=2, cell_m=0.04, box_m=BOX, **more)
+    return in_a_box(box_m=BOX, **more)
 
 
 def test_a_viewer_shows_the_axis_where_the_links_are():
@@ -33,9 +30,7 @@ def test_a_viewer_shows_the_axis_where_the_links_are():
 
 
 def test_a_current_carries_the_outline_along():
-    current = {"effect": "pool_current", "parameters": {"u_m_s": 0.2, "v_m_s": -0.1}}
-    model = replace(servos(), body={"effects": [current]})
-    swimmer = Swimmer(FISH, model, dimensions=2, cell_m=0.04, box_m=BOX)
+    swimmer = fish(model=with_effects(pool_current__u_m_s=0.2, pool_current__v_m_s=-0.1))
     for _ in range(50):
         swimmer.step(np.zeros(3))
     seen, (x, y, _) = plane_of(swimmer), swimmer.state().pose[0]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from good_input import message
-from swimming_robots import FISH, servos
+from swimming_robots import FISH, beat, in_a_box, servos
 
 import sim.lattice.populations
 from sim.lattice.populations import is_wide
@@ -18,18 +18,8 @@ from sim2real.robot import Link, Robot
 BOX = (0.9, 0.9, 0.4)
 
 
-def small(**more):
-    return Swimmer(FISH, more.pop("model", servos()), dimensions=2, cell_m=0.04, box_m=BOX, **more)
-
-
-def beat(swimmer, periods, scale=1.0):
-    for k in range(periods):
-        wave = np.sin(2 * np.pi * 1.5 * CONTROL_S * k - 1.2 * np.arange(3))
-        swimmer.step(scale * np.array([0.3, 0.45, 0.6]) * wave)
-
-
 def test_states_have_a_leading_axis_of_environments():
-    swimmer = small(n_envs=2)
+    swimmer = in_a_box(n_envs=2)
     beat(swimmer, 10)
     state = swimmer.state()
     assert state.pose.shape == state.velocity.shape == (2, 3)
@@ -44,7 +34,7 @@ def test_states_have_a_leading_axis_of_environments():
 
 
 def test_resetting_one_environment_leaves_the_others_alone():
-    swimmer, other = small(n_envs=2), small(n_envs=2)
+    swimmer, other = in_a_box(n_envs=2), in_a_box(n_envs=2)
     for one in (swimmer, other):
         beat(one, 8)
     swimmer.reset(np.array([True, False]), pose=np.array([0.1, 0.2, 0.3]))
@@ -52,7 +42,7 @@ def test_resetting_one_environment_leaves_the_others_alone():
     assert state.pose[0] == pytest.approx([0.1, 0.2, 0.3])
     assert np.array_equal(state.joint[0], np.zeros(3))
     assert np.array_equal(state.pose[1], other.state().pose[1])
-    fresh = small(n_envs=2)
+    fresh = in_a_box(n_envs=2)
     fresh.reset(pose=np.array([0.1, 0.2, 0.3]))
     for one in (swimmer, fresh, other):
         beat(one, 4)
@@ -68,7 +58,7 @@ def test_the_rotor_of_a_gear_train_turns_with_the_joint():
         ("unmodelled_inertia", {"inertia_kgm2": rotor}),
     ]
     models = [servos(effects=[name]) for name in names] + [servos()]
-    swimmer = small(model=models, n_envs=3)
+    swimmer = in_a_box(model=models, n_envs=3)
     beat(swimmer, 12)
     of_train, of_law, without = swimmer.state().joint
     changed = np.abs(of_law - without).max()
@@ -77,7 +67,7 @@ def test_the_rotor_of_a_gear_train_turns_with_the_joint():
 
 
 def test_latency_is_what_the_model_says():
-    swimmer = small(model=servos(latency=0.05))
+    swimmer = in_a_box(model=servos(latency=0.05))
     moved = []
     for _ in range(4):
         swimmer.step(np.full(3, 0.3))
@@ -109,15 +99,15 @@ def test_a_heavy_robot_is_under_water():
 
 
 def test_bad_input_is_refused_in_one_line():
-    swimmer = small(n_envs=2)
+    swimmer = in_a_box(n_envs=2)
     message(lambda: swimmer.step(np.array([[0, 0, 0], [0, np.nan, 0]])), "environment 1", "finite")
-    message(lambda: small(device="cuda:7"), "cuda:7", "cpu")
+    message(lambda: in_a_box(device="cuda:7"), "cuda:7", "cpu")
     message(lambda: Swimmer(FISH, servos(), box_m=(0.5, 0.5, 0.4)), "shorter than the box")
-    message(lambda: small(substeps=3), "substeps", "even")
+    message(lambda: in_a_box(substeps=3), "substeps", "even")
     short = Link("head", 0.5, 0.02, 0.13, 0.12)
     stub = Robot("stub", (short, *FISH.links[1:]), FISH.joints)
     message(lambda: Swimmer(stub, servos(), box_m=BOX), "overlap")
-    message(lambda: small(n_envs=2, model=[servos()]), "1 models", "2, one for each robot")
+    message(lambda: in_a_box(n_envs=2, model=[servos()]), "1 models", "2, one for each robot")
     message(lambda: Swimmer(FISH, servos(), cell_m=0.0), "cell_m")
 
 
@@ -139,15 +129,11 @@ def narrow_and_wide(monkeypatch):
 @BOTH
 def test_swimmers_are_the_same_bit_for_bit(lattice, narrow_and_wide):
     def swim():
-        swimmer = Swimmer(
-            FISH, servos(), n_envs=2, dimensions=lattice.dimensions, cell_m=0.04,
-            box_m=(0.9, 0.7, 0.32),
-        )  # fmt: skip
-        for k in range(40):
-            if k == 15:
-                swimmer.reset(np.array([False, True]))
-            wave = np.sin(2 * np.pi * 1.5 * CONTROL_S * k - 1.2 * np.arange(3))
-            swimmer.step(np.array([0.3, 0.45, 0.6]) * wave)
+        box = (0.9, 0.7, 0.32)
+        swimmer = in_a_box(n_envs=2, dimensions=lattice.dimensions, box_m=box)
+        beat(swimmer, 15)
+        swimmer.reset(np.array([False, True]))
+        beat(swimmer, 25, first=15)
         return swimmer
 
     narrow, wide = narrow_and_wide(swim)

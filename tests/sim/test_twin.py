@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from swimming_robots import FISH, moving, servos
+from swimming_robots import FISH, beat, glide, in_a_box, moving, servos, with_effects
 
-from sim.robot.swimmer import CONTROL_S, Swimmer
+from sim.robot.swimmer import CONTROL_S
 from sim.twin.law import FITTED, Coefficients
 from sim.twin.twin import Twin
 from sim2real.body import listed, values
@@ -171,22 +171,9 @@ def test_added_mass_and_drag_are_shared_as_the_law_says():
     assert broad[1] / broad[0] == pytest.approx(np.array([1, 1, 1, 2.0])[:, None].repeat(3, 1))
 
 
-BOX = (0.9, 0.9, 0.4)
-
-
-def with_effects(**parameters):
-    """A robot whose body has these effects; double underscores stand for dots."""
-    named = {name.replace("__", "."): value for name, value in parameters.items()}
-    return replace(servos(), body={"effects": listed(named)})
-
-
-def swim(periods, n_envs=1, wave=1.0, **parameters):
-    swimmer = Swimmer(
-        FISH, with_effects(**parameters), n_envs=n_envs, dimensions=2, cell_m=0.04, box_m=BOX
-    )
-    for k in range(periods):
-        turn = np.sin(2 * np.pi * 1.5 * CONTROL_S * k - 1.2 * np.arange(3))
-        swimmer.step(wave * np.array([0.3, 0.45, 0.6]) * turn)
+def swim(periods, wave=1.0, **parameters):
+    swimmer = in_a_box(with_effects(**parameters))
+    beat(swimmer, periods, wave)
     return swimmer.state()
 
 
@@ -211,7 +198,7 @@ def test_a_stiff_skin_holds_the_joints_straight():
 
 def held(periods, command, **parameters):
     """Angle of the first joint after commands that do not change."""
-    swimmer = Swimmer(FISH, with_effects(**parameters), dimensions=2, cell_m=0.04, box_m=BOX)
+    swimmer = in_a_box(with_effects(**parameters))
     for _ in range(periods):
         swimmer.step(np.array(command))
     return swimmer.state().joint[0, 0]
@@ -252,15 +239,6 @@ def test_trim_turns_the_joints_but_not_what_they_show():
 
 
 def test_drag_slows_a_robot_that_glides():
-    def glide(**parameters):
-        swimmer = Swimmer(FISH, with_effects(**parameters), dimensions=2, cell_m=0.04, box_m=BOX)
-        q, v = swimmer.bodies.motion.q.numpy(), np.zeros((1, 6))
-        v[0, 0] = 0.3
-        swimmer.bodies.place(q, v)
-        for _ in range(25):
-            swimmer.step(np.zeros(3))
-        return swimmer.state().velocity[0, 0]
-
     plain = glide()
     assert 0.05 < plain < 0.3
     assert glide(linear_drag__coefficient=2.0) < 0.8 * plain
@@ -272,9 +250,7 @@ def test_drag_slows_a_robot_that_glides():
 
 
 def test_a_mass_to_the_left_is_pushed_to_the_right():
-    swimmer = Swimmer(
-        FISH, with_effects(com_offset__y_m=0.03), dimensions=2, cell_m=0.02, box_m=BOX
-    )
+    swimmer = in_a_box(with_effects(com_offset__y_m=0.03), cell_m=0.02)
     head = swimmer.state().pose[0]
     assert head[1] == pytest.approx(0.0, abs=1e-12)  # coordinates are those of the mass
     swimmer.bodies.push(np.array([[0.3, 0.0, 0.0, 0.0, 0.0, 0.0]]))
