@@ -19,6 +19,7 @@ from sim2real.recording import read_recording
 from sim2real.robot import read_robot
 
 if TYPE_CHECKING:
+    from sim2real.exporters.mjcf import StepResponse
     from sim2real.exporters.mujoco_bench import Agreement
     from sim2real.exporters.nearest import Nearest
 
@@ -33,6 +34,15 @@ def export_servo(options: argparse.Namespace) -> int:
         if not set(recording.joints) & set(model.joints):
             found = f"joints {', '.join(recording.joints)}"
             raise InputError(recording.file, "joints", found, f"one of {', '.join(model.joints)}")
+    if options.into or options.joint:
+        if options.to != "mujoco" or not (options.into and options.joint):
+            found = f"--to {options.to}" if options.to != "mujoco" else "one of both"
+            raise InputError("--into, --joint", "", found, "both, with --to mujoco")
+        from sim2real.exporters.mjcf import into_robot
+
+        given = options.into, options.joint, options.out, model, recordings, options.which
+        export, result, steps = into_robot(*given)
+        return _written(export, options, result, steps)
     if options.to == "mujoco":
         from sim2real.exporters.mujoco_bench import mujoco_export
 
@@ -57,7 +67,7 @@ def _written(
     export: Export,
     options: argparse.Namespace,
     nearest: Nearest | None = None,
-    agreement: Sequence[Agreement] = (),
+    agreement: Sequence[Agreement | StepResponse] = (),
 ) -> int:
     """Write the text; print what it lacks, the errors of refits, and differences of the tool."""
     write_whole(options.out, export.text)

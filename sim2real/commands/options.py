@@ -33,6 +33,8 @@ model MODEL: identified servos (MODEL.json)
 --robot TOML: the robot, for joint limits and data sheets (robot.toml)
 --recordings RECORDING+: recordings to refit to if the simulator lacks an effect of the model, and
     to compare with; the last is held out (default: the model's own predictions)
+--into FILE: MJCF of a robot that the servo is written into, a copy of it (mujoco; with --joint)
+--joint JOINT+: hinges of the robot that get the servo of their name, or the model's only one
 --which nearest|effects|plain = nearest: export the effects of the model, a plain servo without
     them, or whichever of both is nearer to the recordings
 """
