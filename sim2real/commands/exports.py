@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from sim2real.errors import InputError
 from sim2real.exporters.actuator import Export
 from sim2real.exporters.ranges import TARGETS as RANGES
-from sim2real.exporters.simulators import TARGETS
+from sim2real.exporters.simulators import STEPS, TARGETS
 from sim2real.model import read_model
 from sim2real.output import check_writable, write_whole
 from sim2real.ranges.entry import read_ranges
@@ -19,6 +19,7 @@ from sim2real.recording import read_recording
 from sim2real.robot import read_robot
 
 if TYPE_CHECKING:
+    from sim2real.exporters.costs import Cost
     from sim2real.exporters.mjcf import StepResponse
     from sim2real.exporters.mujoco_bench import Agreement
     from sim2real.exporters.nearest import Nearest
@@ -51,10 +52,14 @@ def export_servo(options: argparse.Namespace) -> int:
     target = TARGETS[options.to]
     if options.to == "json":  # it has everything
         return _written(target.write(model, robot), options)
+    from sim2real.exporters.costs import costs
     from sim2real.exporters.nearest import nearest
 
     result = nearest(model, target.expressed, recordings, robot, which=options.which)
-    return _written(target.write(result.model, robot, result.dropped), options, result)
+    export = target.write(result.model, robot, result.dropped)
+    whole, proportional = target.partly.get("latency") is STEPS, options.to == "isaaclab-bam"
+    lost = costs(result.model, whole_steps=whole, proportional=proportional)
+    return _written(export, options, result, lost)
 
 
 def export_ranges(options: argparse.Namespace) -> int:
@@ -67,7 +72,7 @@ def _written(
     export: Export,
     options: argparse.Namespace,
     nearest: Nearest | None = None,
-    agreement: Sequence[Agreement | StepResponse] = (),
+    agreement: Sequence[Agreement | StepResponse | Cost] = (),
 ) -> int:
     """Write the text; print what it lacks, the errors of refits, and differences of the tool."""
     write_whole(options.out, export.text)
