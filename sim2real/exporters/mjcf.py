@@ -6,23 +6,21 @@ of a gear train are written onto a hinge; inertia, weight and limits of angles s
 
 from __future__ import annotations
 
-import re
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
-from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.errors import InputError, library, one_of
 from sim2real.exporters.actuator import Export, LeftOut, listed
+from sim2real.exporters.mjcf_text import Hinge, limited, with_servo
 from sim2real.exporters.mujoco import expressed, mujoco
 from sim2real.exporters.mujoco_bench import BRISTLES, simulated
-from sim2real.exporters.nearest import Nearest, Which, fitting_data, nearest
+from sim2real.exporters.nearest import Nearest, Which, excitation, fitting_data, nearest
 from sim2real.identification.search import errors_of
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.output import is_stream, protect
@@ -30,10 +28,7 @@ from sim2real.recording import Load, Recording
 from sim2real.servo.parameters import joint_row
 from sim2real.servo.trace import Trace
 
-_PROLOGUE = re.compile(r"(\s|<\?.*?\?>|<!--.*?-->)*", re.DOTALL)
 _OF_THE_LINK = {"gravity_load": "add the weight to the link", "sensor_offset": "add it to angles"}
-_FLANK = {"pos": "0 0 0", "mass": "1e-6", "diaginertia": "1e-9 1e-9 1e-9"}
-"""The motor's side of a gear train; its tendon has its inertia, which is about the shaft only."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +44,8 @@ class StepResponse:
 
     def __str__(self) -> str:
         """A row of a table."""
+        if not self.steps:
+            return f"{self.joint}: no step moves it by half its size: {self.what}"
         return (
             f"{self.joint}: rise {1e3 * self.rise_s:4.0f} ms, overshoot {1e2 * self.overshoot:4.1f}"
             f" %, steady error {1e3 * self.error_rad:5.1f} mrad: {self.what} ({self.steps} steps)"
@@ -65,8 +62,8 @@ def responses(
     """
     starts = np.flatnonzero(np.diff(command)) + 1
     rows = []
-    for start, end in zip(starts, [*starts[1:], t.size], strict=True):
-        part = np.arange(start, end)[np.isfinite(angle[start:end])]
+    for start, stop in zip(starts, [*starts[1:], t.size], strict=True):
+        part = np.arange(start, stop)[np.isfinite(angle[start:stop])]
         small = abs(command[start] - command[start - 1]) < least_rad
         if small or part.size < 2 or t[part[-1]] - t[start] < hold_s:
             continue
@@ -74,13 +71,9 @@ def responses(
         settled = float(np.mean(seen[since >= 0.8 * since[-1]]))
         if abs(settled - seen[0]) < least_rad / 2:
             continue
-        moved = (seen - seen[0]) / (settled - seen[0])
-        ends = []
-        for level in (0.1, 0.9):
-            k = int(np.argmax(moved >= level))
-            ends.append(np.interp(level, moved[k - 1 : k + 1], since[k - 1 : k + 1]))
-        error = abs(settled - command[start])
-        rows.append((ends[1] - ends[0], max(float(moved.max()) - 1, 0.0), error))
+        moved = np.maximum.accumulate((seen - seen[0]) / (settled - seen[0]))
+        begin, end = np.interp([0.1, 0.9], moved, since)
+        rows.append((end - begin, max(moved[-1] - 1, 0.0), abs(settled - command[start])))
     return np.array(rows).reshape(-1, 3)
 
 
@@ -103,43 +96,38 @@ def into_robot(
     library("mujoco", "--into")
     protect(file)
     robot = _Compiled.loaded(file)
-    text = file.read_text(encoding="utf-8")
-    prologue = _PROLOGUE.match(text)
-    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
-    root = ElementTree.fromstring(text, parser)
-    owns = {name: _own(name, model) for name in names}
+    content = file.read_bytes()
+    (only, *others), known = model.joints, set(model.joints)
+    owns = {name: only if not others and name not in known else name for name in names}
+    if unknown := set(owns.values()) - known:
+        raise InputError("model", min(unknown), "no such joint", one_of(min(unknown), [*known]))
     joints = {own: model.joints[own] for own in owns.values()}
     made = nearest(Model(joints), lambda x: expressed(x) - BRISTLES, recordings, which=which)
     lines, steps = list[LeftOut](), list[StepResponse]()
     for name, own in owns.items():
         dof, found = robot.dof(name, file), made.model.joints[own]
-        before = float(robot.model.dof_armature[dof]) if found.per_inertia else 0.0
         servo, kept = _on_inertia(name, found, robot.inertia(dof))
         dropped = [line for line in made.dropped if line.component == own]
         bench = mujoco(Model({name: servo}), None, (*dropped, *kept))
-        theirs = robot.limits(int(robot.model.joint(name).id)).get("forcerange")
+        hinge = robot.hinge(name, adds=found.per_inertia)
+        theirs = hinge.limits.get("forcerange")
         if theirs and "forcerange" not in bench.text:
             why = f"none was identified, so that of the file stays ({theirs} N m)"
             bench = replace(bench, left_out=(*bench.left_out, LeftOut(name, "a limit", why)))
         lines += bench.left_out
-        drive = _Edit(file, name, robot, root).with_servo(bench, before)
-        text = ElementTree.tostring(root, encoding="unicode").replace(" />", "/>")
-        text = f"{prologue.group() if prologue else ''}{text}\n"
-        robot = _Compiled.loaded(out, file, text)
+        content, drive = with_servo(file, content, hinge, bench)
+        robot = _Compiled.loaded(out, file, content)
         data = fitting_data(own, joints[own], recordings, None)
-        ways = (data.scored, data.held_out), (data.fitted, "recordings"), (data.own, "")
+        ways = (
+            (data.scored, data.held_out),
+            (data.fitted, "recordings"),
+            (robot.reach(found, name), ""),
+        )
         for traces, what in ways[0 if data.scored else 2 :]:
             if any(len(responses(x.t, x.command, x.measured)) for x in traces):
                 steps += robot.steps((name, drive), found, traces, what, out.name)
                 break
-    return Export(text, tuple(lines)), made, tuple(steps)
-
-
-def _own(name: str, model: Model) -> str:
-    """The model's joint for a hinge."""
-    if name not in model.joints and len(model.joints) > 1:
-        raise InputError("model", name, "no such joint", one_of(name, [*model.joints]))
-    return name if name in model.joints else next(iter(model.joints))
+    return Export(content.decode(), tuple(lines)), made, tuple(steps)
 
 
 def _on_inertia(name: str, joint: JointModel, inertia: float) -> tuple[JointModel, list[LeftOut]]:
@@ -182,16 +170,16 @@ class _Compiled:
     model: Any
 
     @classmethod
-    def loaded(cls, file: Path, source: Path | None = None, text: str = "") -> _Compiled:
-        """The file, or a text that is to be this file and was made from ``source``."""
+    def loaded(cls, file: Path, source: Path | None = None, content: bytes = b"") -> _Compiled:
+        """The file, or a content that is to be this file and was made from ``source``."""
         mj = library("mujoco", "--into")
         try:
             if source is None:
                 spec = mj.MjSpec.from_file(str(file))
                 return cls(mj, spec, spec.compile())
             folder = source.parent if is_stream(file) else file.parent
-            with tempfile.NamedTemporaryFile("w", dir=folder, prefix=".", suffix=".xml") as there:
-                there.write(text)
+            with tempfile.NamedTemporaryFile(dir=folder, prefix=".", suffix=".xml") as there:
+                there.write(content)
                 there.flush()
                 spec = mj.MjSpec.from_file(there.name)
                 return cls(mj, spec, spec.compile())
@@ -224,22 +212,39 @@ class _Compiled:
         self.mj.mj_mulM(self.model, data, column, np.eye(self.model.nv)[dof])
         return float(column[dof])
 
-    def limits(self, hinge: int) -> dict[str, str]:
-        """Limits of torque and set-points of the actuator of a hinge; empty without one."""
-        model, kind = self.model, self.mj.mjtTrn
+    def hinge(self, name: str, *, adds: bool) -> Hinge:
+        """What the file says of a hinge; with ``adds`` its armature stays beside the servo's."""
+        model, joint = self.model, self.model.joint(name)
+        kind, limits = self.mj.mjtTrn, {}
         kinds = int(kind.mjTRN_JOINT), int(kind.mjTRN_JOINTINPARENT)
-        for k in range(model.nu):
-            if model.actuator_trntype[k] not in kinds or model.actuator_trnid[k][0] != hinge:
-                continue
+        theirs = (model.actuator_trnid[k][0] == joint.id for k in range(model.nu))
+        acts = [k for k, one in enumerate(theirs) if one and model.actuator_trntype[k] in kinds]
+        for k in acts[:1]:
             limits = {"ctrllimited": "false", "forcelimited": "false"}
             if model.actuator_forcelimited[k]:
-                limits |= _range("force", model.actuator_forcerange[k])
+                limits |= limited("force", model.actuator_forcerange[k])
             at = getattr(model, "actuator_ctrladr", range(model.nu))[k]  # since MuJoCo 4
             gain, back = model.actuator_gainprm[k][0], model.actuator_biasprm[k][1]
             if gain and np.isclose(gain, -back, rtol=1e-3) and model.actuator_ctrllimited[at]:
-                limits |= _range("ctrl", model.actuator_ctrlrange[at])
-            return limits
-        return {}
+                limits |= limited("ctrl", model.actuator_ctrlrange[at])
+        body, dof = int(joint.bodyid[0]), int(joint.dofadr[0])
+        last = int(model.body_jntadr[body] + model.body_jntnum[body]) - 1
+        behind = {"qpos": int(model.jnt_qposadr[last]) + 1, "qvel": int(model.jnt_dofadr[last]) + 1}
+        armature = float(model.dof_armature[dof]) if adds else 0.0
+        degrees = bool(self.spec.compiler.degree)
+        return Hinge(name, limits, armature, behind, degrees, float(model.opt.timestep))
+
+    def reach(self, joint: JointModel, name: str) -> list[Trace]:
+        """Standard steps of a servo about the middle of what a hinge can reach."""
+        hinge, pose = (
+            self.model.joint(name),
+            float(self.posed().qpos[self.model.joint(name).qposadr[0]]),
+        )
+        low, high = hinge.range if self.model.jnt_limited[hinge.id] else (pose - 3.0, pose + 3.0)
+        size = min(0.6, 0.4 * (high - low))
+        middle = float(np.clip(pose, low + size, high - size))
+        own = excitation(joint, name, size)
+        return [replace(x, command=x.command + middle, position=x.position + middle) for x in own]
 
     def steps(
         self, names: Sequence[str], joint: JointModel, data: Sequence[Trace], what: str, file: str
@@ -260,139 +265,14 @@ class _Compiled:
             start, sent = {name: float(first)}, {name: trace.command}
             motions = {what: trace.measured} if what else {}
             load = "" if joint.per_inertia else f", {trace.load.inertia_kgm2:.3g} kg m2"
-            motions[f"predict{load}"] = trace.simulated(errors)
+            motions[f"predict{load}"] = trace.simulated(errors) if what else trace.position
             motions[here] = simulated(self.model, trace.t, sent, start, {name: drive})[name]
             for kind, angle in motions.items():
                 part = np.where(trace.used, angle, np.nan)
                 rows.setdefault(kind, []).append(responses(trace.t, trace.command, part))
         return [
             StepResponse(name, kind, len(steps), *map(float, np.median(steps, axis=0)))
-            for kind, parts in rows.items()
             if len(steps := np.concatenate(parts))
+            else StepResponse(name, kind, 0, np.nan, np.nan, np.nan)
+            for kind, parts in rows.items()
         ]
-
-
-@dataclass(frozen=True)
-class _Edit:
-    """An MJCF file as a tree, a hinge of which gets a servo."""
-
-    file: Path
-    name: str  # of the hinge
-    robot: _Compiled
-    root: Element
-
-    def with_servo(self, bench: Export, armature: float) -> str:
-        """The name of the actuator, having put the servo of a bench on the hinge."""
-        made, name, model = ElementTree.fromstring(bench.text), self.name, self.robot.model
-        joints = (one for world in self.root.iter("worldbody") for one in world.iter("joint"))
-        own = next((one for one in joints if one.get("name") == name), None)
-        if own is None:
-            where = "a joint of an included file"
-            raise InputError(self.file, name, where, "the file that has the joint itself")
-        shaft, drive = _child(made, "worldbody/body/joint"), _child(made, "actuator/*")
-        given = {k: x for k, x in shaft.attrib.items() if k not in {"name", "type", "axis"}}
-        theirs = self.robot.limits(int(model.joint(name).id))
-        limits = theirs or {"ctrllimited": "false", "forcelimited": "false"}
-        if "forcerange" in drive.attrib:
-            limits |= {"forcelimited": "true"}
-            given["actuatorfrclimited"] = str("actuatorfrcrange" in given).lower()
-        own.attrib |= {"armature": "0", "damping": "0", "frictionloss": "0"} | given
-        if armature:
-            own.set("armature", f"{armature + float(given.get('armature', 0)):.9g}")
-        samples = np.ceil(float(drive.get("delay", 0)) / model.opt.timestep) + 2
-        explicit = {"gear": "1", "actlimited": "false", "delay": "0"}
-        explicit |= {"dyntype": "none"} if drive.tag == "general" else {}
-        drive.attrib = explicit | limits | drive.attrib
-        drive.set("nsample", str(int(samples)) if drive.get("delay") != "0" else "0")
-        if (motor := made.find("worldbody/body/body")) is not None:
-            self._add_motor(own, motor, _child(made, "tendon/fixed"))
-        self._replace_drive(drive, bench.left_out, there=bool(theirs))
-        for section in ("tendon", "actuator", "sensor"):
-            for element in made.findall(f"{section}/*"):
-                if element is not drive:
-                    self._put(section, element)
-        return drive.get("name", name)
-
-    def _add_motor(self, own: Element, motor: Element, sides: Element) -> None:
-        """Add the motor's side of a gear train; keyframes get its angle and speed, 0."""
-        parent, model = next(one for one in self.root.iter() if own in list(one)), self.robot.model
-        lead, inertial = _child(motor, "joint"), _child(motor, "inertial")
-        sides.set("armature", inertial.get("diaginertia", "").split()[0])
-        inertial.attrib = dict(_FLANK)
-        same = {k: own.get(k, x) for k, x in (("axis", "0 0 1"), ("pos", "0 0 0"))}
-        none = dict.fromkeys(("armature", "damping", "frictionloss", "stiffness"), "0")
-        lead.attrib = none | {"actuatorfrclimited": "false"} | lead.attrib | same
-        if self.robot.spec.compiler.degree and "range" in lead.attrib:
-            ends = [float(end) for end in lead.attrib["range"].split()]
-            lead.set("range", _range("", np.degrees(ends))["range"])
-        _insert(parent, list(parent).index(own) + 1, motor)
-        body = int(model.joint(self.name).bodyid[0])
-        last = int(model.body_jntadr[body] + model.body_jntnum[body]) - 1
-        for key in self.root.iterfind("keyframe/key"):
-            for kind, place in ("qpos", model.jnt_qposadr), ("qvel", model.jnt_dofadr):
-                if values := key.get(kind, "").split():
-                    values.insert(int(place[last]) + 1, "0")
-                    key.set(kind, " ".join(values))
-
-    def _replace_drive(self, drive: Element, lines: Sequence[LeftOut], *, there: bool) -> None:
-        """Put the drive in place of the hinge's actuator, whose name it gets, below a comment."""
-        remarks = "".join(f"\n    {line}".replace("--", "- -") for line in lines)
-        said = f" {self.name}: identified by sim2real"
-        comment = ElementTree.Comment(f"{said}; not expressed:{remarks} " if lines else f"{said} ")
-        own = {("joint", self.name), ("jointinparent", self.name)}
-        sections = self.root.findall("actuator")
-        if any(str(one.text).startswith(said) for part in sections for one in part):
-            found = "a servo that export-servo wrote"
-            raise InputError(self.file, self.name, found, "the file from before that")
-        theirs = [(part, one) for part in sections for one in part if own & set(one.attrib.items())]
-        if there and not theirs:
-            where = "its actuator in an included file"
-            raise InputError(self.file, self.name, where, "both in one file")
-        if not theirs:
-            self._put("actuator", drive)
-            for key in self.root.iterfind("keyframe/key[@ctrl]"):
-                key.set("ctrl", f"{key.get('ctrl')} 0")
-            theirs = [(self.root.findall("actuator")[-1], drive)]
-        section, first = theirs[0]
-        drive.attrib |= {k: x for k, x in first.attrib.items() if k in {"name", "group", "user"}}
-        at, drive.tail = list(section).index(first), first.tail
-        section[at] = drive
-        for part, other in theirs[1:]:
-            part.remove(other)
-        _insert(section, at, comment)
-
-    def _put(self, section: str, element: Element) -> None:
-        """Put an element in place of that of its name, or at the end of the last section."""
-        sections = self.root.findall(section)
-        for part in sections:
-            for k, old in enumerate(part):
-                if old.get("name") == element.get("name"):
-                    element.tail, part[k] = old.tail, element
-                    return
-        if not sections:
-            sections = [Element(section)]
-            _insert(self.root, len(self.root), sections[0])
-            sections[0].text = "\n    "
-        _insert(sections[-1], len(sections[-1]), element)
-
-
-def _insert(parent: Element, at: int, element: Element[Any]) -> None:
-    """Insert an element with the white space of its siblings."""
-    between = parent.text or "\n"
-    ElementTree.indent(element, level=len(between.strip("\n")) // 2)
-    element.tail = between
-    if at == len(parent):
-        element.tail = parent[-1].tail if at else between[:-2]
-    if at == len(parent) and at:
-        parent[-1].tail = between
-    parent.insert(at, element)
-
-
-def _child(made: Element, path: str) -> Element:
-    child = made.find(path)
-    assert child is not None, path
-    return child
-
-
-def _range(of: str, ends: Sequence[float] | Array) -> dict[str, str]:
-    return {f"{of}limited": "true", f"{of}range": " ".join(f"{end:.9g}" for end in ends)}

@@ -118,13 +118,8 @@ def bam_text(servos: Sequence[Actuator]) -> str:
         kt = max(servo.kd + servo.back_emf, 1e-9 * stall) / stall
         falling, motor = servo.effects.get("stribeck_friction", {}), servo.motor
         sliding = falling.get("torque_Nm", 0.0)
-        loads = ("motor_friction", "load_friction"), ("motor", "external")
-        given = {
-            f"load_friction_{theirs}{end}": motor.get(f"{slow}{ours}")
-            for ours, theirs in zip(*loads, strict=True)
-            for slow, end in (("", ""), ("stribeck_", "_stribeck"))
-        }
-        fields = {"model": repr("m5" if any(given.values()) else "m2" if falling else "m1")}
+        rubs = any("_friction" in name for name in motor)
+        fields = {"model": repr("m5" if rubs else "m2" if falling else "m1")}
         fields |= numbers(
             kt=kt,
             resistance=kt / stall,
@@ -135,7 +130,10 @@ def bam_text(servos: Sequence[Actuator]) -> str:
             friction_stribeck=falling.get("breakaway_Nm", sliding) - sliding,
             dtheta_stribeck=falling.get("velocity_rad_s") or motor.get("stribeck_speed_rad_s"),
             alpha=2.0,
-            **given,
+            load_friction_motor=motor.get("motor_friction"),
+            load_friction_external=motor.get("load_friction"),
+            load_friction_motor_stribeck=motor.get("stribeck_motor_friction"),
+            load_friction_external_stribeck=motor.get("stribeck_load_friction"),
         )
         values = ", ".join(f"{name}={value}" for name, value in fields.items())
         entry = {"joint_names_expr": repr([re.escape(servo.joint)])}
@@ -274,9 +272,7 @@ USD_STEPS_PER_S = 1000
 USD = """#usda 1.0
 (
     defaultPrim = "bench"
-    kilogramsPerUnit = 1
     metersPerUnit = 1
-    upAxis = "Z"
 )
 {comments}
 def PhysicsScene "scene" (
@@ -333,7 +329,8 @@ def usd_text(servos: Sequence[Actuator], comments: str) -> str:
         schemas = ["NewtonPDControlAPI"]
         schemas += [f"Newton{clamp.removeprefix('Clamping')}ClampingAPI"] if limits else []
         values = numbers(kp=servo.kp, kd=servo.kd + servo.back_emf) | limits
-        lines = [f"float newton:{re.sub('_(.)', _upper, n)} = {x}" for n, x in values.items()]
+        camel = {re.sub("_(.)", lambda x: x[1].upper(), name): x for name, x in values.items()}
+        lines = [f"float newton:{name} = {x}" for name, x in camel.items()]
         if delay := round(servo.latency * USD_STEPS_PER_S):
             schemas.append("NewtonActuatorDelayAPI")
             lines.append(f"int newton:delaySteps = {delay}")
@@ -351,10 +348,6 @@ def usd_text(servos: Sequence[Actuator], comments: str) -> str:
             ),
         )
     return USD.format(comments=comments, steps=USD_STEPS_PER_S, servos=text)
-
-
-def _upper(found: re.Match[str]) -> str:
-    return found[1].upper()
 
 
 GENESIS = '''
