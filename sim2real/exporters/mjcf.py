@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from xml.parsers.expat import ExpatError
 
 import numpy as np
 
@@ -115,19 +117,19 @@ def into_robot(
             why = f"none was identified, so that of the file stays ({theirs} N m)"
             bench = replace(bench, left_out=(*bench.left_out, LeftOut(name, "a limit", why)))
         lines += bench.left_out
-        content, drive = with_servo(file, content, hinge, bench)
+        try:
+            content, drive = with_servo(file, content, hinge, bench)
+            text = content.decode()
+        except (ExpatError, UnicodeDecodeError) as error:
+            raise InputError(file, "", str(error), "XML in UTF-8") from None
         robot = _Compiled.loaded(out, file, content)
         data = fitting_data(own, joints[own], recordings, None)
-        ways = (
-            (data.scored, data.held_out),
-            (data.fitted, "recordings"),
-            (robot.reach(found, name), ""),
-        )
-        for traces, what in ways[0 if data.scored else 2 :]:
+        ways = [(data.scored, data.held_out), (data.fitted, "recordings")] if data.scored else []
+        for traces, what in (*ways, (robot.reach(found, name), "")):
             if any(len(responses(x.t, x.command, x.measured)) for x in traces):
                 steps += robot.steps((name, drive), found, traces, what, out.name)
                 break
-    return Export(content.decode(), tuple(lines)), made, tuple(steps)
+    return Export(text, tuple(lines)), made, tuple(steps)
 
 
 def _on_inertia(name: str, joint: JointModel, inertia: float) -> tuple[JointModel, list[LeftOut]]:
@@ -236,10 +238,8 @@ class _Compiled:
 
     def reach(self, joint: JointModel, name: str) -> list[Trace]:
         """Standard steps of a servo about the middle of what a hinge can reach."""
-        hinge, pose = (
-            self.model.joint(name),
-            float(self.posed().qpos[self.model.joint(name).qposadr[0]]),
-        )
+        hinge = self.model.joint(name)
+        pose = float(self.posed().qpos[hinge.qposadr[0]])
         low, high = hinge.range if self.model.jnt_limited[hinge.id] else (pose - 3.0, pose + 3.0)
         size = min(0.6, 0.4 * (high - low))
         middle = float(np.clip(pose, low + size, high - size))
@@ -251,22 +251,22 @@ class _Compiled:
     ) -> list[StepResponse]:
         """Steps as recorded (``what``), of the identified servo on that load, and in the robot."""
         name, drive = names  # of the hinge and of its actuator
-        hinge, off = self.model.joint(name), self.mj.mjtDisableBit
+        model, off = copy(self.model), self.mj.mjtDisableBit
+        hinge = model.joint(name)
         here = f"{file}, {self.inertia(int(hinge.dofadr[0])):.3g} kg m2"
-        moving = {name, f"{name}_lead"}
-        joints = [self.model.joint(k).name for k in self.model.dof_jntid]
-        others = [k for k, one in enumerate(joints) if one not in moving]
-        self.model.dof_armature[others] += 1e6  # holds them
-        self.model.opt.disableflags |= off.mjDSBL_CONTACT | off.mjDSBL_EQUALITY
+        joints = [model.joint(k).name for k in model.dof_jntid]
+        held = [k for k, one in enumerate(joints) if one not in {name, f"{name}_lead"}]
+        model.dof_armature[held] += 1e6
+        model.opt.disableflags |= off.mjDSBL_CONTACT | off.mjDSBL_EQUALITY
         rows: dict[str, list[Array]] = {}
         for trace in data:
             errors = errors_of(joint_row(joint, trace.load), [trace])[0]
-            first = trace.position[trace.used][0] - self.model.qpos0[hinge.qposadr[0]]
+            first = trace.position[trace.used][0] - model.qpos0[hinge.qposadr[0]]
             start, sent = {name: float(first)}, {name: trace.command}
             motions = {what: trace.measured} if what else {}
             load = "" if joint.per_inertia else f", {trace.load.inertia_kgm2:.3g} kg m2"
             motions[f"predict{load}"] = trace.simulated(errors) if what else trace.position
-            motions[here] = simulated(self.model, trace.t, sent, start, {name: drive})[name]
+            motions[here] = simulated(model, trace.t, sent, start, {name: drive})[name]
             for kind, angle in motions.items():
                 part = np.where(trace.used, angle, np.nan)
                 rows.setdefault(kind, []).append(responses(trace.t, trace.command, part))

@@ -127,7 +127,8 @@ def with_servo(file: Path, content: bytes, hinge: Hinge, bench: Export) -> tuple
         for at, key in keys.items():
             if "ctrl" in key.attrib:
                 values[at]["ctrl"] = f"{key.attrib['ctrl']} 0"
-    edits += [(k, keys[k].stop, _with(text[k : keys[k].stop], values[k])) for k in keys]
+    changed = [key for at, key in keys.items() if values[at]]
+    edits += [(x.start, x.stop, _with(text[x.start : x.stop], values[x.start])) for x in changed]
     known = {x.attrib.get("name"): x for x in _children(parts, "sensor")}
     for sensor in [one for one in added["sensor"] if one.get("name") in known]:
         old = known[sensor.get("name")]
@@ -181,7 +182,7 @@ def _with(tag: str, attributes: Mapping[str, str]) -> str:
     """A tag with these attributes, in place of those it has."""
     for name in attributes:
         tag = re.sub(rf"""\s+{name}\s*=\s*("[^"]*"|'[^']*')""", "", tag)
-    body, close = re.fullmatch(r"(.*?)\s*(/?>)", tag, re.DOTALL).groups()  # type: ignore[union-attr]
+    body, close = re.fullmatch(r"(.*?)(\s*/?>)", tag, re.DOTALL).groups()  # type: ignore[union-attr]
     return body + "".join(f" {k}={_raw(quoteattr(x))}" for k, x in attributes.items()) + close
 
 

@@ -106,6 +106,7 @@ def test_rise_overshoot_and_error_of_a_step():
     [
         ("lid", ROBOT, "lid: found no such hinge, expected one of lift, pan"),
         ("pan", ROBOT.replace('axis="0 1 0"', 'axis="0 1"'), "an MJCF file that MuJoCo loads"),
+        ("pan", ROBOT.replace("mine", "mine -- and"), "XML in UTF-8"),
         (
             "pan",
             ROBOT.replace("<position name", "<!-- pan: identified by sim2real --><position name"),
