@@ -8,7 +8,7 @@ The exported text as a user has it. Random steps and a sine that quickens to 2.6
 Hz with jitter, on a servo of 2.2 N m/rad; each effect at its typical size. MuJoCo is an extra of
 the library; the others run in environments of their own, with ``PYTHONPATH=.``: ``mjlab==1.6.0``,
 ``newton[sim]==1.8.0`` (for usd with ``usd-core newton-usd-schemas``), or ``genesis-world==1.4.5
-torch warp-lang``, and scipy, pandas, emcee and tqdm. FOLDER has the package ``isaaclab`` (2.3,
+torch warp-lang``, and scipy, pandas, emcee and tqdm. FOLDER has the package ``isaaclab`` (2.3, 3.0;
 ``source/isaaclab`` of its wheel): its actuators turn a shaft that is integrated here in place of
 PhysX, so friction and armature, which PhysX adds, are not tried. Genesis has no delay: set-points
 are held back by the latency, as the exported text says.

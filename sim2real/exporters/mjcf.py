@@ -19,7 +19,7 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.errors import InputError, library, one_of
 from sim2real.exporters.actuator import Export, LeftOut, listed
-from sim2real.exporters.mjcf_text import Hinge, limited, with_servo
+from sim2real.exporters.mjcf_text import MjcfHinge, limited, with_servo
 from sim2real.exporters.mujoco import expressed, mujoco
 from sim2real.exporters.mujoco_bench import BRISTLES, simulated
 from sim2real.exporters.nearest import Nearest, Which, excitation, fitting_data, nearest
@@ -214,7 +214,7 @@ class _Compiled:
         self.mj.mj_mulM(self.model, data, column, np.eye(self.model.nv)[dof])
         return float(column[dof])
 
-    def hinge(self, name: str, *, adds: bool) -> Hinge:
+    def hinge(self, name: str, *, adds: bool) -> MjcfHinge:
         """What the file says of a hinge; with ``adds`` its armature stays beside the servo's."""
         model, joint = self.model, self.model.joint(name)
         kind, limits = self.mj.mjtTrn, {}
@@ -234,7 +234,7 @@ class _Compiled:
         behind = {"qpos": int(model.jnt_qposadr[last]) + 1, "qvel": int(model.jnt_dofadr[last]) + 1}
         armature = float(model.dof_armature[dof]) if adds else 0.0
         degrees = bool(self.spec.compiler.degree)
-        return Hinge(name, limits, armature, behind, degrees, float(model.opt.timestep))
+        return MjcfHinge(name, limits, armature, behind, degrees, float(model.opt.timestep))
 
     def reach(self, joint: JointModel, name: str) -> list[Trace]:
         """Standard steps of a servo about the middle of what a hinge can reach."""

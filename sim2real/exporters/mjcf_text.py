@@ -22,7 +22,7 @@ _NO_LOSSES = {"armature": "0", "damping": "0", "frictionloss": "0"}
 
 
 @dataclass(frozen=True)
-class Hinge:
+class MjcfHinge:
     """What a compiled file says of a hinge."""
 
     name: str
@@ -34,7 +34,7 @@ class Hinge:
 
 
 @dataclass
-class _Part:
+class _Markup:
     """An element of a text: its tags from the root on, attributes and place."""
 
     path: str
@@ -44,17 +44,17 @@ class _Part:
     end: int
 
 
-def _parts(text: str) -> list[_Part]:
+def _parts(text: str) -> list[_Markup]:
     """The elements of a text, each character of which is a byte, in order."""
-    found: list[_Part] = []
-    within: list[_Part] = []
+    found: list[_Markup] = []
+    within: list[_Markup] = []
     parser = expat.ParserCreate()
 
     def start(tag: str, attrib: dict[str, str]) -> None:
         stop = _TAG.match(text, parser.CurrentByteIndex)
         assert stop is not None, tag
         path = f"{within[-1].path}/{tag}" if within else tag
-        found.append(_Part(path, attrib, stop.start(), stop.end(), stop.end()))
+        found.append(_Markup(path, attrib, stop.start(), stop.end(), stop.end()))
         within.append(found[-1])
 
     def end(_: str) -> None:
@@ -67,7 +67,7 @@ def _parts(text: str) -> list[_Part]:
     return found
 
 
-def with_servo(file: Path, content: bytes, hinge: Hinge, bench: Export) -> tuple[bytes, str]:
+def with_servo(file: Path, content: bytes, hinge: MjcfHinge, bench: Export) -> tuple[bytes, str]:
     """The content with the servo of a bench on a hinge, and the name of its actuator.
 
     ``InputError`` if the hinge or its actuator is in a file that this one includes, or it has a
@@ -149,7 +149,7 @@ def with_servo(file: Path, content: bytes, hinge: Hinge, bench: Export) -> tuple
     return _bytes(text), drive.get("name", name)
 
 
-def _finish_motor(motor: Element, own: _Part, sides: Element, *, degrees: bool) -> None:
+def _finish_motor(motor: Element, own: _Markup, sides: Element, *, degrees: bool) -> None:
     """Put the motor's side of a gear train onto the hinge's axis."""
     lead, inertial = _child(motor, "joint"), _child(motor, "inertial")
     sides.set("armature", inertial.get("diaginertia", "").split()[0])
@@ -168,7 +168,7 @@ def limited(of: str, ends: Sequence[float]) -> dict[str, str]:
     return {f"{of}limited": "true", f"{of}range": " ".join(f"{end:.9g}" for end in ends)}
 
 
-def _children(parts: Sequence[_Part], section: str) -> list[_Part]:
+def _children(parts: Sequence[_Markup], section: str) -> list[_Markup]:
     return [one for one in parts if re.fullmatch(f"mujoco/{section}/[^/]+", one.path)]
 
 
