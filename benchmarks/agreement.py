@@ -2,16 +2,16 @@
 
     python -m benchmarks.agreement mujoco [--step-ms 2] [--integrator Euler]
     python -m benchmarks.agreement isaaclab --isaaclab FOLDER [--step-ms 2]
-    python -m benchmarks.agreement mjlab [--seconds 4]        # newton, genesis likewise
+    python -m benchmarks.agreement mjlab [--seconds 4]        # newton, usd, genesis likewise
 
 The exported text as a user has it. Random steps and a sine that quickens to 2.6 Hz, 12 s each at 50
 Hz with jitter, on a servo of 2.2 N m/rad; each effect at its typical size. MuJoCo is an extra of
-the library; the others run in environments of their own, with ``PYTHONPATH=.``: Python 3.11 with
-``mjlab==1.6.0`` or ``genesis-world==1.4.5 torch warp-lang``, 3.12 with ``newton[sim]==1.8.0``, and
-scipy, pandas, emcee and tqdm. FOLDER has the package ``isaaclab`` (2.3, ``source/isaaclab`` of its
-wheel): its actuators turn a shaft that is integrated here in place of PhysX, so friction and
-armature, which PhysX adds, are not tried. Genesis has no delay: set-points are held back by the
-latency, as the exported text says.
+the library; the others run in environments of their own, with ``PYTHONPATH=.``: ``mjlab==1.6.0``,
+``newton[sim]==1.8.0`` (for usd with ``usd-core newton-usd-schemas``), or ``genesis-world==1.4.5
+torch warp-lang``, and scipy, pandas, emcee and tqdm. FOLDER has the package ``isaaclab`` (2.3, 3.0;
+``source/isaaclab`` of its wheel): its actuators turn a shaft that is integrated here in place of
+PhysX, so friction and armature, which PhysX adds, are not tried. Genesis has no delay: set-points
+are held back by the latency, as the exported text says.
 """
 
 from __future__ import annotations
@@ -189,13 +189,36 @@ def newton(models: Sequence[Model], times: Array, commands: Array, _: Any) -> Ar
         hinge = builder.add_joint_revolute(parent=-1, child=link, axis=newton.Axis.Y, label=name)
         builder.add_articulation([hinge])
     made_by("newton", Model(joints))["add_actuators"](builder, STEP_S)
+    return run_newton(builder, times, commands)
+
+
+def usd(models: Sequence[Model], times: Array, commands: Array, _: Any) -> Array:  # noqa: ANN401
+    """The same of the joints and actuators of one USD file, which Newton reads."""
+    import newton
+    from newton.solvers import SolverMuJoCo
+
+    builder = newton.ModelBuilder(gravity=(0.0, 0.0, 0.0))
+    SolverMuJoCo.register_custom_attributes(builder)
+    joints = {f"servo{k:03}": model.joints["j1"] for k, model in enumerate(models)}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "bench.usda"
+        path.write_text(TARGETS["usd"].write(Model(joints)).text)
+        read = builder.add_usd(str(path))
+    assert read["actuator_count"] == len(models)
+    return run_newton(builder, times, commands)
+
+
+def run_newton(builder: Any, times: Array, commands: Array) -> Array:  # noqa: ANN401
+    """Angles of the joints of a builder on their set-points."""
+    from newton.solvers import SolverMuJoCo
+
     model = builder.finalize(device="cpu")
     physics = {"use_mujoco_cpu": True, "integrator": "implicitfast", "disable_contacts": True}
     solver = SolverMuJoCo(model, **physics)
     state, after, control = model.state(), model.state(), model.control()
     memories = [(actuator.state(), actuator.state()) for actuator in model.actuators]
     grid, rows = held(times, STEP_S)
-    seen = [np.zeros(len(models))]
+    seen = [np.zeros(commands.shape[1])]
     for k in tqdm(rows, disable=None):
         control.joint_target_q.assign(commands[k].astype(np.float32))
         control.joint_f.zero_()
@@ -286,6 +309,7 @@ SIMULATORS: Mapping[str, tuple[Simulate, Callable[[], dict[str, Model]]]] = {
     "mujoco": (mujoco, with_effects),
     "mjlab": (mjlab, parts),
     "newton": (newton, parts),
+    "usd": (usd, parts),
     "genesis": (genesis, parts),
     "isaaclab": (isaaclab, without_friction),
 }

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from sim2real.errors import InputError
 from sim2real.exporters.actuator import Export
 from sim2real.exporters.ranges import TARGETS as RANGES
-from sim2real.exporters.simulators import TARGETS
+from sim2real.exporters.simulators import STEPS, TARGETS
 from sim2real.model import read_model
 from sim2real.output import check_writable, write_whole
 from sim2real.ranges.entry import read_ranges
@@ -19,6 +19,8 @@ from sim2real.recording import read_recording
 from sim2real.robot import read_robot
 
 if TYPE_CHECKING:
+    from sim2real.exporters.costs import Cost
+    from sim2real.exporters.mjcf import StepResponse
     from sim2real.exporters.mujoco_bench import Agreement
     from sim2real.exporters.nearest import Nearest
 
@@ -33,6 +35,15 @@ def export_servo(options: argparse.Namespace) -> int:
         if not set(recording.joints) & set(model.joints):
             found = f"joints {', '.join(recording.joints)}"
             raise InputError(recording.file, "joints", found, f"one of {', '.join(model.joints)}")
+    if options.into or options.joint:
+        if options.to != "mujoco" or not (options.into and options.joint):
+            found = f"--to {options.to}" if options.to != "mujoco" else "one of both"
+            raise InputError("--into, --joint", "", found, "both, with --to mujoco")
+        from sim2real.exporters.mjcf import into_robot
+
+        given = options.into, options.joint, options.out, model, recordings, options.which
+        export, result, steps = into_robot(*given)
+        return _written(export, options, result, steps)
     if options.to == "mujoco":
         from sim2real.exporters.mujoco_bench import mujoco_export
 
@@ -41,10 +52,14 @@ def export_servo(options: argparse.Namespace) -> int:
     target = TARGETS[options.to]
     if options.to == "json":  # it has everything
         return _written(target.write(model, robot), options)
+    from sim2real.exporters.costs import costs
     from sim2real.exporters.nearest import nearest
 
     result = nearest(model, target.expressed, recordings, robot, which=options.which)
-    return _written(target.write(result.model, robot, result.dropped), options, result)
+    export = target.write(result.model, robot, result.dropped)
+    whole, proportional = target.partly.get("latency") is STEPS, options.to == "isaaclab-bam"
+    lost = costs(result.model, whole_steps=whole, proportional=proportional)
+    return _written(export, options, result, lost)
 
 
 def export_ranges(options: argparse.Namespace) -> int:
@@ -57,7 +72,7 @@ def _written(
     export: Export,
     options: argparse.Namespace,
     nearest: Nearest | None = None,
-    agreement: Sequence[Agreement] = (),
+    agreement: Sequence[Agreement | StepResponse | Cost] = (),
 ) -> int:
     """Write the text; print what it lacks, the errors of refits, and differences of the tool."""
     write_whole(options.out, export.text)

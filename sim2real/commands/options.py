@@ -28,11 +28,14 @@ commands CSV: commands: a CSV with t_s and J.command_rad
 """
 _EXPORT_SERVO = """
 model MODEL: identified servos (MODEL.json)
---to mujoco|mjlab|isaaclab|newton|genesis|urdf|json!: simulator or format to write for
+--to mujoco|mjlab|isaaclab|isaaclab-bam|newton|usd|genesis|urdf|json!: simulator or format to
+    write for
 --out FILE!: file to write
 --robot TOML: the robot, for joint limits and data sheets (robot.toml)
 --recordings RECORDING+: recordings to refit to if the simulator lacks an effect of the model, and
     to compare with; the last is held out (default: the model's own predictions)
+--into FILE: MJCF of a robot that the servo is written into, a copy of it (mujoco; with --joint)
+--joint JOINT+: hinges of the robot that get the servo of their name, or the model's only one
 --which nearest|effects|plain = nearest: export the effects of the model, a plain servo without
     them, or whichever of both is nearer to the recordings
 """

@@ -57,7 +57,24 @@ def simulate(
         model.opt.integrator = getattr(mj.mjtIntegrator, f"mjINT_{integrator.upper()}")
     if timestep_s is not None:
         model.opt.timestep = timestep_s
+    return simulated(model, t, command, start)
+
+
+def simulated(
+    model: Any,  # noqa: ANN401 - MuJoCo's own type
+    t: Array,
+    command: Mapping[str, Array],
+    start: Mapping[str, float] | None = None,
+    drives: Mapping[str, str] | None = None,
+) -> dict[str, Array]:
+    """`simulate` of a compiled model from its first keyframe, if any.
+
+    ``drives`` are names of actuators that differ from their joint's.
+    """
+    mj = library("mujoco", "mujoco")
     data = mj.MjData(model)
+    if model.nkey:
+        mj.mj_resetDataKeyframe(model, data, 0)
     joints = [model.sensor(k).name.removesuffix("_position") for k in range(model.nsensor)]
     for joint in command:
         if joint not in joints:
@@ -68,14 +85,15 @@ def simulate(
     addresses = getattr(model, "actuator_ctrladr", np.arange(model.nu))
     controls = {}
     for joint, values in command.items():
-        actuator = model.actuator(joint).id
+        drive = model.actuator((drives or {}).get(joint, joint))
+        actuator = drive.id
         delay = float(model.actuator_delay[actuator]) / model.opt.timestep
         # MuJoCo delays by whole ticks; the integrator uses the speed at the end of a step, which
         # is half a step early.
         beyond = delay - math.ceil(delay - 1e-6) + 0.5
         active = np.searchsorted(np.rint(since + beyond), ticks, side="right") - 1
         controls[int(addresses[actuator])] = np.asarray(values, float)[np.maximum(active, 0)]
-        _rest(mj, model, data, joint, float(values[0]), (start or {}).get(joint))
+        _rest(mj, model, data, (joint, drive), float(values[0]), (start or {}).get(joint))
     sensors = {joint: model.sensor(f"{joint}_position").adr[0] for joint in command}
     angles = {joint: np.empty(ticks.size) for joint in command}
     for tick in ticks:
@@ -92,14 +110,14 @@ def _rest(
     mj: Any,  # noqa: ANN401 - MuJoCo's own types
     model: Any,  # noqa: ANN401
     data: Any,  # noqa: ANN401
-    joint: str,
+    servo: tuple[str, Any],
     command: float,
     angle: float | None,
 ) -> None:
     """Set a joint and the state of its actuator to rest on its first set-point."""
+    joint, actuator = servo
     angle_address = model.joint(joint).qposadr[0]
     data.qpos[angle_address] = model.qpos0[angle_address] + (command if angle is None else angle)
-    actuator = model.actuator(joint)
     # A filter or rate limit has its set-point as state; an integral, the last state, starts at 0.
     address, count = int(actuator.actadr[0]), int(actuator.actnum[0])
     slews = model.actuator_dynprm[actuator.id][1] > 0

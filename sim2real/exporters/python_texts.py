@@ -1,8 +1,9 @@
-"""Python text that configures actuators in Isaac Lab, mjlab, Newton and Genesis.
+"""Python text that configures actuators in Isaac Lab, mjlab, Newton and Genesis, and USD.
 
-Fields and calls: Isaac Lab 2.3 and 3.0 (``isaaclab.actuators``; 3.0 accepts these names), mjlab 1.5
-and 1.6 (``BuiltinPositionActuatorCfg``), Newton 1.8 (``newton.actuators``; its drives and input
-processors for BAM's servos and for backlash are in no release yet), Genesis (``RigidEntity``).
+Fields and calls: Isaac Lab 2.3 and 3.0 (``isaaclab.actuators``; 3.0 accepts these names) and, for
+``BamActuatorCfg``, its development branch of November 2026 (in no release yet); mjlab 1.5 and 1.6
+(``BuiltinPositionActuatorCfg``), Newton 1.8 (``newton.actuators`` and its USD schemas; its own
+drive for BAM's servos is in no release yet), Genesis (``RigidEntity``).
 """
 
 from __future__ import annotations
@@ -86,6 +87,71 @@ def isaaclab_text(servos: Sequence[Actuator]) -> str:
     return f"{text}    return {{\n{entries}    }}\n"
 
 
+BAM = '''from isaaclab.actuators.actuator_bam_cfg import BamActuatorCfg, BamMotorCfg
+
+
+def actuators(physics_dt):
+    """For ArticulationCfg.actuators; physics_dt is SimulationCfg.dt, in s.
+
+    DriveBam needs SimulationCfg.use_newton_actuators and Newton's solver of MuJoCo. Voltages are
+    relative to the supply. Each joint is a group with a delay and a supply of its own; joints of
+    one group share both. Play is a hinge of the asset, passive_JOINT_backlash.
+    """
+    return {
+'''
+PLAY = "passive_{}_backlash"
+"""Name of the hinge with play of a joint, as Isaac Lab's own example has it."""
+
+
+def bam_text(servos: Sequence[Actuator]) -> str:
+    """``actuators(physics_dt)``, configurations of Isaac Lab's ``DriveBam``.
+
+    With the supply 1 the stall torque is K = kt / R and the damping by the back-EMF b = kt^2 / R,
+    so kt = b / K. A drive that does not clip before its damping has a K out of reach, and its limit
+    is that of the current, which limits the whole torque. All damping is that of the back-EMF.
+    """
+    entries = ""
+    for servo in servos:
+        stall, limit = 100 * servo.kp, servo.limit
+        if servo.limit and servo.back_emf > 0:
+            stall, limit = servo.limit, servo.current_limit
+        kt = max(servo.kd + servo.back_emf, 1e-9 * stall) / stall
+        falling, motor = servo.effects.get("stribeck_friction", {}), servo.motor
+        sliding = falling.get("torque_Nm", 0.0)
+        rubs = any("_friction" in name for name in motor)
+        fields = {"model": repr("m5" if rubs else "m2" if falling else "m1")}
+        fields |= numbers(
+            kt=kt,
+            resistance=kt / stall,
+            error_gain=servo.kp / stall,
+            max_current=(limit or 0.0) / kt,
+            friction_base=servo.friction + sliding,
+            friction_viscous=0.0,
+            friction_stribeck=falling.get("breakaway_Nm", sliding) - sliding,
+            dtheta_stribeck=falling.get("velocity_rad_s") or motor.get("stribeck_speed_rad_s"),
+            alpha=2.0,
+            load_friction_motor=motor.get("motor_friction"),
+            load_friction_external=motor.get("load_friction"),
+            load_friction_motor_stribeck=motor.get("stribeck_motor_friction"),
+            load_friction_external_stribeck=motor.get("stribeck_load_friction"),
+        )
+        values = ", ".join(f"{name}={value}" for name, value in fields.items())
+        entry = {"joint_names_expr": repr([re.escape(servo.joint)])}
+        entry |= {"motor": f"BamMotorCfg({values})", "kp_fw": "1.0", "vin": "1.0"}
+        entry |= numbers(actuator_effort_limit=2 * stall)  # braking adds the back-EMF
+        if sag := servo.value("voltage_sag", "loss_at_full_load"):
+            gain = 2 * sag / servo.kp
+            entry |= {
+                "vin_drop_gain_range": f"({gain:.9g}, {gain:.9g})",
+                **numbers(vin_min=1 - sag),
+            }
+        entry |= _steps(servo, "min_delay", "max_delay") | numbers(armature=servo.armature)
+        if servo.value("backlash", "control_on_output"):
+            entry["backlash_joint_template"] = repr(PLAY)
+        entries += f"        {servo.joint!r}: " + _called("BamActuatorCfg", entry)
+    return f"{BAM}{entries}    }}\n"
+
+
 MJLAB = '''
 
 def actuators(physics_dt):
@@ -164,6 +230,17 @@ def add_actuators(builder, physics_dt):
 '''
 
 
+def _clamping(servo: Actuator) -> tuple[str, dict[str, str]]:
+    """Newton's clamping stage of a servo, and its numbers; none without a limit."""
+    if servo.limit is None or servo.back_emf <= 0:
+        return "ClampingMaxEffort", numbers(max_effort=servo.stall_torque)
+    return "ClampingDCMotor", numbers(
+        saturation_effort=servo.limit,
+        velocity_limit=servo.limit / servo.back_emf,
+        max_motor_effort=servo.largest_torque,
+    )
+
+
 def newton_text(servos: Sequence[Actuator]) -> str:
     """``add_actuators(builder, physics_dt)``.
 
@@ -172,16 +249,7 @@ def newton_text(servos: Sequence[Actuator]) -> str:
     """
     entries, used = "", {"DrivePD"}
     for servo in servos:
-        clamp, limits = "ClampingMaxEffort", numbers(max_effort=servo.stall_torque)
-        if servo.limit is not None and servo.back_emf > 0:
-            clamp, limits = (
-                "ClampingDCMotor",
-                numbers(
-                    saturation_effort=servo.limit,
-                    velocity_limit=servo.limit / servo.back_emf,
-                    max_motor_effort=servo.largest_torque,
-                ),
-            )
+        clamp, limits = _clamping(servo)
         used |= {clamp} if limits else set()
         shown = ", ".join(f'"{name}": {value}' for name, value in limits.items())
         fields = numbers(
@@ -198,6 +266,88 @@ def newton_text(servos: Sequence[Actuator]) -> str:
         entries += f"    {servo.joint!r}: {{\n{body}    }},\n"
     text = f"from newton.actuators import {', '.join(sorted(used))}\n\n"
     return f"{text}SERVOS = {{\n{entries}}}\n{NEWTON}"
+
+
+USD_STEPS_PER_S = 1000
+USD = """#usda 1.0
+(
+    defaultPrim = "bench"
+    metersPerUnit = 1
+)
+{comments}
+def PhysicsScene "scene" (
+    prepend apiSchemas = ["NewtonSceneAPI"]
+)
+{{
+    float physics:gravityMagnitude = 0
+    uniform int newton:timeStepsPerSecond = {steps}
+}}
+
+def Xform "bench"
+{{
+{servos}}}
+"""
+USD_SERVO = """    def Xform "{name}_link" (
+        prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]
+    )
+    {{
+        float physics:mass = 0.1
+        float3 physics:diagonalInertia = ({inertia}, {inertia}, {inertia})
+    }}
+
+    def PhysicsRevoluteJoint "{name}" (
+        prepend apiSchemas = ["NewtonJointAPI"]
+    )
+    {{
+        rel physics:body1 = </bench/{name}_link>
+        uniform token physics:axis = "Y"
+        float newton:armature = {armature}
+        float newton:friction = {friction}
+        uniform double[] mjc:solreffriction = [{time_constant}, 1]
+        uniform double[] mjc:solimpfriction = [{impedance}, {impedance}, 0.001, 0.5, 2]
+    }}
+
+    def NewtonActuator "{name}_actuator" (
+        prepend apiSchemas = [{schemas}]
+    )
+    {{
+        rel newton:targets = </bench/{name}>
+{attributes}    }}
+
+"""
+
+
+def usd_text(servos: Sequence[Actuator], comments: str) -> str:
+    """A USD file with a bench: an inertia on each joint, and a ``NewtonActuator`` that turns it.
+
+    Delays are in steps of the file's ``PhysicsScene``, of ``1 / USD_STEPS_PER_S``.
+    """
+    text = ""
+    for servo in servos:
+        name = re.sub(r"\W", "_", f"_{servo.joint}" if servo.joint[0].isdigit() else servo.joint)
+        clamp, limits = _clamping(servo)
+        schemas = ["NewtonPDControlAPI"]
+        schemas += [f"Newton{clamp.removeprefix('Clamping')}ClampingAPI"] if limits else []
+        values = numbers(kp=servo.kp, kd=servo.kd + servo.back_emf) | limits
+        camel = {re.sub("_(.)", lambda x: x[1].upper(), name): x for name, x in values.items()}
+        lines = [f"float newton:{name} = {x}" for name, x in camel.items()]
+        if delay := round(servo.latency * USD_STEPS_PER_S):
+            schemas.append("NewtonActuatorDelayAPI")
+            lines.append(f"int newton:delaySteps = {delay}")
+        stop = servo.stop(2 / USD_STEPS_PER_S)
+        text += USD_SERVO.format(
+            name=name,
+            schemas=", ".join(f'"{one}"' for one in schemas),
+            attributes="".join(f"        {line}\n" for line in lines),
+            **numbers(
+                inertia=servo.inertia + servo.beyond_load - servo.armature,
+                armature=servo.armature,
+                friction=servo.friction,
+                time_constant=stop[0],
+                impedance=stop[1],
+            ),
+        )
+    return USD.format(comments=comments, steps=USD_STEPS_PER_S, servos=text)
 
 
 GENESIS = '''

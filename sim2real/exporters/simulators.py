@@ -25,11 +25,14 @@ from sim2real.exporters.actuator import (
 )
 from sim2real.exporters.mujoco import HAS, expressed, mujoco, xml_text
 from sim2real.exporters.python_texts import (
+    PLAY,
+    bam_text,
     genesis_text,
     isaaclab_text,
     mjlab_text,
     newton_text,
     numbers,
+    usd_text,
 )
 from sim2real.model import JointModel, Model
 from sim2real.output import finite_json
@@ -102,6 +105,7 @@ class MuJoCo:
     """MuJoCo, whose file has a bench for each joint, as a target."""
 
     has, expressed, write = HAS, staticmethod(expressed), staticmethod(mujoco)
+    partly: Mapping[str, tuple[str, str]] = {}
 
 
 def _python(text: Callable[[Sequence[Actuator]], str]) -> Text:
@@ -167,6 +171,21 @@ def _not_in_urdf(servo: Actuator) -> list[LeftOut]:
     ]
 
 
+def _not_in_bam(servo: Actuator) -> list[LeftOut]:
+    lines = _of_the_link(servo)
+    if servo.limit and servo.back_emf > 0 and abs(servo.kd) > 1e-9 * servo.back_emf:
+        what = f"damping in the drive ({servo.kd:.6g} N m s/rad)"
+        why = "the drive is proportional: it is added to the back-EMF, at the limit as well"
+        lines.append(LeftOut(servo.joint, what, why))
+    slow = servo.motor.get("stribeck_speed_rad_s", 0.0)
+    if slow and servo.value("stribeck_friction", "velocity_rad_s") not in (0.0, slow):
+        what = f"motor.stribeck_speed_rad_s ({slow:.6g})"
+        lines.append(
+            LeftOut(servo.joint, what, "all friction falls at the one of stribeck_friction")
+        )
+    return lines
+
+
 LAW = (
     "torque = clip(kp (command(t - latency) - position) - kd velocity, -limit, limit)"
     " - back_emf velocity"
@@ -213,6 +232,30 @@ TARGETS: Mapping[str, Target | MuJoCo] = {
             BEYOND_LIMIT: ONE_LIMIT,
         },
     ),
+    "isaaclab-bam": Target(
+        "Isaac Lab's DriveBam",
+        _python(bam_text),
+        (
+            *FRICTION_AND_ROTOR, "backlash", "latency_jitter", "stribeck_friction", SATURATION,
+            "voltage_sag", "motor.motor_friction", "motor.load_friction",
+            *(f"motor.stribeck_{n}" for n in ("motor_friction", "load_friction", "speed_rad_s")),
+        ),
+        {
+            "latency": STEPS,
+            "latency_jitter": (
+                JITTER, "the delay is drawn at each physics step, not for each set-point",
+            ),
+            "backlash": (
+                f"a hinge {PLAY.format('JOINT')} with play of {{0[gap_rad]:.6g}} rad",
+                "add it to the asset, between the joint's link and what that turns",
+            ),
+            "voltage_sag": (
+                "part of voltage_sag", "it follows the torque of the step before, back-EMF included"
+            ),
+            BEYOND_LIMIT: ONE_LIMIT,
+        },
+        also=_not_in_bam,
+    ),
     "mjlab": Target(
         "mjlab",
         _python(mjlab_text),
@@ -234,6 +277,14 @@ TARGETS: Mapping[str, Target | MuJoCo] = {
             "backlash": "its processor for backlash is in no release yet",
             "latency_jitter": "a delay is constant",
         },
+    ),
+    "usd": Target(
+        "Newton",
+        lambda servos, _, lines: usd_text(servos, comment(head(lines))),
+        (*FRICTION_AND_ROTOR, *SOFT, SATURATION),
+        {BEYOND_LIMIT: ONE_LIMIT, "latency": STEPS},
+        {"gravity_load": f"{INERTIA_ONLY}; add the weight to your link"},
+        also=lambda servo: [],
     ),
     "genesis": Target(
         "Genesis",

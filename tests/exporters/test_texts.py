@@ -13,13 +13,13 @@ import pytest
 from exported import rms
 
 from sim2real.effects import CATALOGUE
+from sim2real.exporters.costs import costs
 from sim2real.exporters.ranges import TARGETS as RANGES
 from sim2real.exporters.simulators import TARGETS
 from sim2real.model import JointModel, Model
 from sim2real.ranges.entry import Ranges, uniform
 from sim2real.recording import Load
 from sim2real.robot import read_robot
-from sim2real.servo.parameters import SOFT
 from sim2real.servo.prediction import predict
 
 ISAACLAB = ("DelayedPDActuatorCfg", "DCMotorCfg", "DCMotor", "DelayedPDActuator")
@@ -220,7 +220,10 @@ def test_a_name_stays_a_name(target):
     """A joint's name cannot end a comment or a string of the text it stands in."""
     name = "j'\"\n1 --> <x/>\nraise SystemExit"
     text = export(target, servo(name, "backlash")).text
-    if target in ("isaaclab", "mjlab", "newton", "genesis"):
+    if target == "usd":
+        assert len(re.findall(r'    def PhysicsRevoluteJoint "\w+"', text)) == 2
+        assert not re.search("^raise", text, re.MULTILINE)
+    elif target in ("isaaclab", "isaaclab-bam", "mjlab", "newton", "genesis"):
         code = "\n".join(line for line in text.splitlines() if not line.startswith("from "))
         exec(compile(code, "exported.py", "exec"), {})
     elif target == "json":
@@ -232,10 +235,11 @@ def test_a_name_stays_a_name(target):
 def test_the_readme_says_what_each_target_expresses():
     text = Path("sim2real/exporters/README.md").read_text()
     rows = [line.strip("| ").split("|") for line in text.splitlines() if line.startswith("| `")]
-    targets = ("mujoco", "mjlab", "isaaclab", "newton", "genesis", "urdf")
+    targets = ("mujoco", "mjlab", "isaaclab", "isaaclab-bam", "newton", "genesis", "urdf")
     for k, name in enumerate(targets, 1):
         said = {row[0].strip().strip("`") for row in rows if len(row) > k and row[k].strip()}
-        assert said == set(TARGETS[name].has) - {"torque_saturation", *SOFT}
+        has = {part for part in TARGETS[name].has if not part.startswith("motor.")}
+        assert said == has - {"torque_saturation"}
 
 
 def test_mjlab(modules):
@@ -303,24 +307,112 @@ def test_newton(modules):
     assert builder.custom_attributes["mujoco:solreffriction"].values == {6: (0.008, 1.0)}
 
 
-def test_a_pd_drive_within_the_line_is_a_drive_that_clips_before_the_back_emf(modules):
-    """What Newton and mjlab compute from the exported numbers is the law of the motor."""
+def apart(joint, torque):
+    """RMS difference from `predict` of a shaft on two steps, with a torque of error and speed."""
     dt = 0.0002
     t = dt * np.arange(10_000)
     command = np.where(t < 0.2, 0.0, np.where(t < 1.0, 1.0, -0.8))
+    angle = speed = 0.0
+    seen = np.empty(t.size)
+    for k, target in enumerate(command):
+        seen[k] = angle
+        speed += dt * torque(target - angle, speed) / joint.inertia_kgm2
+        angle += dt * speed
+    return rms(seen - predict(Model({"j1": joint}), t, {"j1": command})["j1"])
+
+
+def test_a_pd_drive_within_the_line_is_a_drive_that_clips_before_the_back_emf(modules):
+    """What Newton and mjlab compute from the exported numbers is the law of the motor."""
     joint = replace(motor(coulomb_Nm=0.0).joints["j1"], latency_s=0.0)
     text = export("newton", Model({"j1": joint})).text
     space = modules(text, newton__actuators=recording("DrivePD", "ClampingDCMotor"))
     drive = space["SERVOS"]["j1"]
     ((_, limit),) = drive["clamping"]
-    angle = speed = 0.0
-    seen = np.empty(t.size)
-    for k, target in enumerate(command):
-        seen[k] = angle
-        torque = drive["kp"] * (target - angle) - drive["kd"] * speed
+
+    def torque(error, speed):
         share = speed / limit["velocity_limit"]
         most = min(limit["saturation_effort"] * (1 - share), limit["max_motor_effort"])
         least = max(limit["saturation_effort"] * (-1 - share), -limit["max_motor_effort"])
-        speed += dt * min(max(torque, least), most) / joint.inertia_kgm2
-        angle += dt * speed
-    assert rms(seen - predict(Model({"j1": joint}), t, {"j1": command})["j1"]) < 0.001
+        return min(max(drive["kp"] * error - drive["kd"] * speed, least), most)
+
+    assert apart(joint, torque) < 0.001
+
+
+def bam(modules, model):
+    """The configurations that an exported text makes of Isaac Lab's drive at 5 ms a step."""
+    classes = recording("BamActuatorCfg", "BamMotorCfg")
+    text = export("isaaclab-bam", model).text
+    found = modules(text, isaaclab__actuators__actuator_bam_cfg=classes)["actuators"](0.005)
+    return {name: one.fields | one.fields["motor"].fields for name, one in found.items()}
+
+
+CURRENT = {"torque_saturation": {"limit_Nm": 0.3, "free_damping": 0.0}}
+
+
+@pytest.mark.parametrize(
+    "model",
+    [motor(kd=0.08, coulomb_Nm=0.0), motor(CURRENT, kd=0.08, coulomb_Nm=0.0), servo(),
+     exported.servo(**CURRENT)],
+    ids=["line", "current limit", "plain", "limit"],
+)  # fmt: skip
+def test_the_drive_of_bam_is_the_law_of_the_motor(model, modules):
+    joint = replace(model.joints["j1"], latency_s=0.0)
+    has = bam(modules, Model({"j1": joint}))["j1"]
+    kt, ohm, volt = has["kt"], has["resistance"], has["vin"]
+
+    def torque(error, speed):
+        duty, middle = error * has["kp_fw"] * has["error_gain"], kt * speed / volt
+        if has["max_current"]:
+            span = ohm * has["max_current"] / volt
+            duty = min(max(duty, middle - span), middle + span)
+        most = has["actuator_effort_limit"]  # by default that at standstill
+        return min(max(kt * (volt * min(max(duty, -1), 1) - kt * speed) / ohm, -most), most)
+
+    assert apart(joint, torque) < 0.001
+
+
+def test_what_else_the_drive_of_bam_has(modules):
+    gears = {"motor_friction": 0.1, "stribeck_load_friction": 0.2, "stribeck_speed_rad_s": 0.4}
+    play = exported.TYPICAL["backlash"] | {"control_on_output": 1.0}
+    model = motor({"backlash": play, "voltage_sag": {"loss_at_full_load": 0.2}}, **gears)
+    has = bam(modules, model)["j1"]
+    assert (has["model"], has["friction_base"], has["alpha"]) == ("m5", 0.04, 2)
+    assert (has["load_friction_motor"], has["load_friction_external_stribeck"]) == (0.1, 0.2)
+    assert has["dtheta_stribeck"] == 0.4
+    assert has["vin_drop_gain_range"][0] * 2.2 / 2 == pytest.approx(0.2) == 1 - has["vin_min"]
+    assert (has["min_delay"], has["max_delay"]) == (10, 10)
+    assert has["backlash_joint_template"].format("JOINT") in str(listed("isaaclab-bam", model))
+    falling = bam(modules, servo("j1", "stribeck_friction"))["j1"]
+    assert (falling["model"], falling["friction_base"], falling["friction_stribeck"]) == (
+        "m2", 0.05, 0.05,
+    )  # fmt: skip
+
+
+def test_usd():
+    model = motor({"unmodelled_inertia": {"inertia_kgm2": 0.001}})
+    text = export("usd", Model({"left/j1": model.joints["j1"]})).text
+    assert text.count("{") == text.count("}")
+    values = dict(re.findall(r"(newton:\w+) = (.+)", text))
+    assert values["newton:targets"] == "</bench/left_j1>"
+    shown = {name: float(x) for name, x in values.items() if name != "newton:targets"}
+    assert shown == {
+        "newton:timeStepsPerSecond": 1000, "newton:armature": 0.001, "newton:friction": 0.04,
+        "newton:kp": 2.2, "newton:kd": 0.09, "newton:saturationEffort": 0.5,
+        "newton:velocityLimit": 6.25, "newton:maxMotorEffort": 1.0, "newton:delaySteps": 50,
+    }  # fmt: skip
+    schemas = re.findall(r'"(Newton\w+API)"', text[text.index("def NewtonActuator") :])
+    assert schemas == ["NewtonPDControlAPI", "NewtonDCMotorClampingAPI", "NewtonActuatorDelayAPI"]
+    assert "NewtonMaxEffortClampingAPI" in export("usd", exported.servo(**CURRENT)).text
+
+
+def test_what_whole_steps_and_a_proportional_drive_cost():
+    def cost(model):
+        return [list(one.errors_rad.values()) for one in costs(model, **both)]
+
+    both = {"whole_steps": True, "proportional": True}
+    nothing, none = cost(motor(kd=0.08))  # 50 ms, kd is that of the line
+    assert max(*nothing, *none) < 1e-5
+    (fine, *coarse), (damping,) = cost(exported.servo(motor=LINE, latency_s=0.0507))
+    assert 1e-4 < fine < min(coarse) <= max(coarse) < 0.003  # 51, 50 and 50 ms
+    assert damping > 0.002
+    assert not costs(exported.servo(), whole_steps=False, proportional=True)
