@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from sim2real.effects import named
 from sim2real.errors import InputError
@@ -178,6 +179,16 @@ class Export:
 
     text: str
     left_out: tuple[LeftOut, ...]
+
+    def __str__(self) -> str:
+        """What is not expressed, one line each."""
+        title = ["not expressed there (the file says so too):"] if self.left_out else []
+        return "\n".join([*title, *(f"  {line}" for line in self.left_out)])
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The same for JSON."""
+        return {"not_expressed": [*map(str, self.left_out)]}
 
 
 def actuators(model: Model, robot: Robot | None = None) -> tuple[Actuator, ...]:

@@ -9,6 +9,7 @@ from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
 from sim2real.effects import CATALOGUE
+from sim2real.errors import InputError
 from sim2real.exporters.actuator import (
     BEYOND_LIMIT,
     SATURATION,
@@ -24,6 +25,8 @@ from sim2real.exporters.actuator import (
     shared_left_out,
 )
 from sim2real.exporters.mujoco import HAS, expressed, mujoco, xml_text
+from sim2real.exporters.mujoco_bench import Agreement, mujoco_export
+from sim2real.exporters.nearest import Nearest, Which, nearest
 from sim2real.exporters.python_texts import (
     genesis_text,
     isaaclab_text,
@@ -33,6 +36,7 @@ from sim2real.exporters.python_texts import (
 )
 from sim2real.model import JointModel, Model
 from sim2real.output import finite_json
+from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.servo.parameters import SOFT
 
@@ -251,3 +255,42 @@ TARGETS: Mapping[str, Target | MuJoCo] = {
     ),
 }  # fmt: skip
 """By the name that ``export-servo --to`` takes."""
+
+
+@dataclass(frozen=True)
+class ServoExport(Export):
+    """The export of identified servos."""
+
+    nearest: Nearest  # the model that is expressed, and errors of its refits
+    agreement: tuple[Agreement, ...] = ()  # differences of the simulator, where it was run
+
+    def __str__(self) -> str:
+        """What is not expressed, and the errors, one line each."""
+        left_out = [super().__str__()] if self.left_out else []
+        costs = (*self.nearest.compared, *self.nearest.refits, *self.agreement)
+        return "\n".join([*left_out, *map(str, costs)])
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The same for JSON."""
+        errors = self.nearest.refits, self.nearest.compared, self.agreement
+        named = zip(("refitted", "compared", "agreement"), errors, strict=True)
+        return super().content | {name: [vars(one) for one in rows] for name, rows in named}
+
+
+def export_servos(
+    model: Model, to: str, recordings: Sequence[Recording], robot: Robot | None, which: Which
+) -> ServoExport:
+    """The model's actuators for ``to``, refitted without effects that it lacks (``nearest``)."""
+    for recording in recordings:
+        if not set(recording.joints) & set(model.joints):
+            found = f"joints {', '.join(recording.joints)}"
+            raise InputError(recording.file, "joints", found, f"one of {', '.join(model.joints)}")
+    fitted, agreement = Nearest(model), tuple[Agreement, ...]()
+    if to == "mujoco":
+        export, fitted, agreement = mujoco_export(model, recordings, robot, which)
+    else:
+        if to != "json":  # which has everything
+            fitted = nearest(model, TARGETS[to].expressed, recordings, robot, which=which)
+        export = TARGETS[to].write(fitted.model, robot, fitted.dropped)
+    return ServoExport(export.text, export.left_out, fitted, agreement)

@@ -3,15 +3,17 @@ import json
 
 import pytest
 
+import sim2real as s2r
 from sim2real.cli import main
 from sim2real.commands import import_logs as command
 from sim2real.errors import InputError
+from sim2real.importers import read_log
 from sim2real.recording import Load, read_recording
 
 
 def arguments(source, out, **changes):
     names = ("state_topic", "command_topic", "joints", "units", "counts_per_turn", "zero_count")
-    names += ("calibration", "columns", "time_unit", "inertia", "pendulum")
+    names += ("calibration", "columns", "time_unit", "inertia", "pendulum", "episode")
     defaults = dict.fromkeys(names)
     return argparse.Namespace(source=str(source), out=str(out), **(defaults | changes))
 
@@ -51,9 +53,9 @@ def test_bags_go_to_the_reader_of_bags(tmp_path, monkeypatch, log, capsys):
 
     def read_bag(source, **options):
         seen.update(options, source=source)
-        return command.read_bam(log)
+        return read_log.read_bam(log)
 
-    monkeypatch.setattr(command, "read_bag", read_bag)
+    monkeypatch.setattr(read_log, "read_bag", read_bag)
     for name in ("a.bag", "a.db3", "a.mcap"):
         (tmp_path / name).touch()
     for source in (tmp_path, *(tmp_path / name for name in ("a.bag", "a.db3", "a.mcap"))):
@@ -142,6 +144,12 @@ def test_without_loads_the_last_line_says_what_identify_will_do(tmp_path, capsys
 def test_loads_are_stated(tmp_path, capsys, options, load):
     assert table(tmp_path, *options) == 0
     assert read_recording(out(tmp_path)).loads == {"pan": load}
+    named = {"columns": COMPLETE["--columns"], "time_unit": "ms", "units": "counts"}
+    named |= {"counts_per_turn": 4096, "zero_count": 2048}
+    named |= {options[k].removeprefix("--"): options[k + 1 : k + 2] for k in (0, len(options) - 2)}
+    same = tmp_path / "same.csv"
+    assert s2r.import_log(tmp_path / "log.csv", same, **named).loads == {"pan": load}
+    assert same.read_text() == (tmp_path / "pan.csv").read_text()
     (line,) = capsys.readouterr().out.splitlines()
     assert "load known on pan" in line
 
