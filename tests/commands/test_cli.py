@@ -228,8 +228,9 @@ def test_demo_ends_in_a_page(train, short, tmp_path, capsys, monkeypatch):
     folders = ["--data", str(data / "servo_steps"), "--pool", str(data / "pool")]
     assert main(["demo", *folders, "--out", str(out), *(["--train"] if train else [])]) == 0
     page = (out / "index.html").read_text()
-    assert "Identification" in page
-    assert "Diagnosis of the swim" in page
+    assert "Diagnosis of the swim" in page and "Identification" in page
+    said = page.split("<body>")[1].partition("</header>")[0]
+    assert "3 servos were identified from recordings" in said and "fish" not in said
     assert page.index("Results</h2>") < page.index("data:image/gif") < page.index("Recordings</h2>")
     assert page.count("<script>") == 1 and page.count('class="panels"') >= 4
     assert ("The agents were trained in this run" in page) == train
