@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from sim2real.robot import Robot
     from sim2real.verbs import File, Recorded
 
-_LISTS = ("command_topic", "joints", "units", "columns", "inertia", "pendulum")
-"""Arguments of ``import_log`` that may be one text instead of a list of one."""
-
 
 def import_log(
     source: File,
@@ -71,9 +68,6 @@ def import_log(
             apply to its kind.
     """
     given = {name: value for name, value in locals().items() if value is not None}
-    for name in _LISTS:
-        if isinstance(given.get(name), str):
-            given[name] = [given[name]]
     from sim2real.importers.read_log import read_log
 
     return read_log(Path(source), None if out is None else Path(out), given)

@@ -96,7 +96,7 @@ def run(options: argparse.Namespace) -> int:
             f"{len(model.joints)} servos, from recordings to training",
             _AIM.format(len(model.joints)),
             [
-                _summary(recordings, model, servos, body, ablation.lead, film),
+                _summary(recordings[0].source, model, servos, body, ablation.lead, film),
                 *bench,
                 *swam,
                 ablation,
@@ -248,12 +248,7 @@ def _swim(results: dict[str, Any], options: argparse.Namespace, out: Path, model
 
 
 def _summary(
-    recordings: list[Recording],
-    model: Model,
-    servos: Diagnosis,
-    body: Diagnosis,
-    ablation: str,
-    swim: Section,
+    source: str, model: Model, servos: Diagnosis, body: Diagnosis, ablation: str, swim: Section
 ) -> Section:
     """Key numbers, verdicts and the film: the first section of the page."""
     rows = []
@@ -272,7 +267,7 @@ def _summary(
         "The sections Recordings, Identification and Diagnosis need servos only; “sim2real check”, "
         "“identify” and “diagnose” do the same with yours. The later sections go on with a robot "
         "that swims: its body is calibrated from a recorded swim, and policies trained with and "
-        f"without each of these results are compared. These recordings: {recordings[0].source}"
+        f"without each of these results are compared. These recordings: {source}"
     )
     film = [Text(swim.lead, "A swim of the trained policy"), *swim.blocks]
     return Section("Results", lead, [Table(("what", "result"), rows), *film])

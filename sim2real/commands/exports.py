@@ -24,7 +24,9 @@ def export_ranges(options: argparse.Namespace) -> int:
 
 def _said(export: Export, options: argparse.Namespace) -> int:
     """Print what the text lacks, the errors of refits, and differences of the simulator."""
-    options.result = {"file": str(options.out), **export.content}
+    errors = {name: [vars(one) for one in rows] for name, rows in export.errors.items()}
+    left_out = [*map(str, export.left_out)]
+    options.result = {"file": str(options.out), "not_expressed": left_out, **errors}
     print(f"{options.out}: for {options.to}")
     if costs := str(export):
         print(costs)

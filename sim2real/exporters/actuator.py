@@ -179,16 +179,14 @@ class Export:
 
     text: str
     left_out: tuple[LeftOut, ...]
+    # of servos: ``compared`` and ``refitted`` joints, and ``agreement`` where the simulator was run
+    errors: Mapping[str, Sequence[Any]] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        """What is not expressed, one line each."""
+        """What is not expressed, and the errors, one line each."""
         title = ["not expressed there (the file says so too):"] if self.left_out else []
-        return "\n".join([*title, *(f"  {line}" for line in self.left_out)])
-
-    @property
-    def content(self) -> dict[str, Any]:
-        """The same for JSON."""
-        return {"not_expressed": [*map(str, self.left_out)]}
+        lines = [f"  {line}" for line in self.left_out]
+        return "\n".join([*title, *lines, *(str(x) for rows in self.errors.values() for x in rows)])
 
 
 def actuators(model: Model, robot: Robot | None = None) -> tuple[Actuator, ...]:

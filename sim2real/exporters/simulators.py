@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
@@ -26,7 +26,7 @@ from sim2real.exporters.actuator import (
 )
 from sim2real.exporters.mujoco import HAS, expressed, mujoco, xml_text
 from sim2real.exporters.mujoco_bench import Agreement, mujoco_export
-from sim2real.exporters.nearest import Nearest, Which, nearest
+from sim2real.exporters.nearest import Which, nearest
 from sim2real.exporters.python_texts import (
     genesis_text,
     isaaclab_text,
@@ -257,40 +257,21 @@ TARGETS: Mapping[str, Target | MuJoCo] = {
 """By the name that ``export-servo --to`` takes."""
 
 
-@dataclass(frozen=True)
-class ServoExport(Export):
-    """The export of identified servos."""
-
-    nearest: Nearest  # the model that is expressed, and errors of its refits
-    agreement: tuple[Agreement, ...] = ()  # differences of the simulator, where it was run
-
-    def __str__(self) -> str:
-        """What is not expressed, and the errors, one line each."""
-        left_out = [super().__str__()] if self.left_out else []
-        costs = (*self.nearest.compared, *self.nearest.refits, *self.agreement)
-        return "\n".join([*left_out, *map(str, costs)])
-
-    @property
-    def content(self) -> dict[str, Any]:
-        """The same for JSON."""
-        errors = self.nearest.refits, self.nearest.compared, self.agreement
-        named = zip(("refitted", "compared", "agreement"), errors, strict=True)
-        return super().content | {name: [vars(one) for one in rows] for name, rows in named}
-
-
 def export_servos(
     model: Model, to: str, recordings: Sequence[Recording], robot: Robot | None, which: Which
-) -> ServoExport:
+) -> Export:
     """The model's actuators for ``to``, refitted without effects that it lacks (``nearest``)."""
     for recording in recordings:
         if not set(recording.joints) & set(model.joints):
             found = f"joints {', '.join(recording.joints)}"
             raise InputError(recording.file, "joints", found, f"one of {', '.join(model.joints)}")
-    fitted, agreement = Nearest(model), tuple[Agreement, ...]()
+    target, agreement = TARGETS[to], tuple[Agreement, ...]()
+    if to == "json":  # which has everything
+        return target.write(model, robot)
     if to == "mujoco":
         export, fitted, agreement = mujoco_export(model, recordings, robot, which)
     else:
-        if to != "json":  # which has everything
-            fitted = nearest(model, TARGETS[to].expressed, recordings, robot, which=which)
-        export = TARGETS[to].write(fitted.model, robot, fitted.dropped)
-    return ServoExport(export.text, export.left_out, fitted, agreement)
+        fitted = nearest(model, target.expressed, recordings, robot, which=which)
+        export = target.write(fitted.model, robot, fitted.dropped)
+    errors = {"compared": fitted.compared, "refitted": fitted.refits, "agreement": agreement}
+    return replace(export, errors=errors)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -97,7 +97,7 @@ def identify(
         raise InputError(recordings[0].file, place, found, expected)
     options = _Options(tuple(extra), effort, interval, refit, bool(warnings))
 
-    def identify_joint(joint: str) -> _Identified:
+    def identify_joint(joint: str) -> tuple[JointModel, dict[str, float | None], str, Fit]:
         data, notes = with_reading_noise(traces(recordings, joint), slow=True), list[str]()
         servo = _servo(robot, joint, law or ("pd" if extra else None))
         check_samples(split(data, held_out)[0], joint)
@@ -111,13 +111,13 @@ def identify(
     inputs = [r.path for r in recordings if r.path] + ([robot.path] if robot.path else [])
     origin = provenance(inputs, seed)
     return Model(
-        joints={joint: found.model for joint, found in results.items()},
-        fit={f"{joint}.position_rad": found.figures for joint, found in results.items()},
+        joints={joint: model for joint, (model, *_) in results.items()},
+        fit={f"{joint}.position_rad": figures for joint, (_, figures, *_) in results.items()},
         notes=warnings + advice.on_recordings(recordings, [j for j in recorded if j not in moving]),
-        provenance=origin | {"held_out": {j: found.held_out for j, found in results.items()}},
+        provenance=origin | {"held_out": {j: held for j, (_, _, held, _) in results.items()}},
         firmware_p_gain=next(filter(None, map(firmware_gain, recordings)), None),
         interval_level=interval,
-        residuals=_residuals(results),
+        residuals=_residuals({joint: found for joint, (*_, found) in results.items()}),
     )
 
 
@@ -236,7 +236,7 @@ def _identify_joint(
     seed: int,
     notes: list[str],
     options: _Options,
-) -> _Identified:
+) -> tuple[JointModel, dict[str, float | None], str, Fit]:
     """The model of one joint, its errors and what was held out for them."""
     load, pendulum = data[0].load, shows_inertia(data)
     data, found = _fits_while_powered(data, held_out, servo, options, seed)
@@ -287,26 +287,17 @@ def _identify_joint(
     notes += advice.on_fit(best, spread, ends, found.without_influence, figures, options.warned)
     joint = _joint_model(found, ends, spread, load, tuple(notes))
     joint = replace(joint, by_prior=by_prior, standard_error=standard_errors(best, spread, ends))
-    return _Identified(joint, figures, held_out_name, best)
+    return joint, figures, held_out_name, best
 
 
-class _Identified(NamedTuple):
-    """One joint: its model, its errors, what was held out for them, and the fit."""
-
-    model: JointModel
-    figures: dict[str, float | None]
-    held_out: str
-    fit: Fit
-
-
-def _residuals(results: Mapping[str, _Identified]) -> DataFrame:
+def _residuals(fits: Mapping[str, Fit]) -> DataFrame:
     """Measured less simulated angles of all joints, a row for each sample (``Model``)."""
     from pandas import DataFrame, concat
 
     parts = []
-    for joint, found in results.items():
-        data = found.fit.problem.traces
-        for trace, error in zip(data, errors_of(found.fit.row, data), strict=True):
+    for joint, found in fits.items():
+        data = found.problem.traces
+        for trace, error in zip(data, errors_of(found.row, data), strict=True):
             of = {"joint": joint, "recording": trace.name}
             parts.append(DataFrame({**of, "t_s": trace.t[trace.used], "residual_rad": -error}))
     return concat(parts, ignore_index=True)

@@ -44,11 +44,14 @@ OPTIONS = {
     "a table": ("columns", "time_unit", *ANGLES, *LOADS),
 }
 """Options of each kind of log."""
+LISTS = ("command_topic", "joints", "units", "columns", *LOADS)
+"""Options with several values; one value may be a text."""
 STATE_TOPIC = "/joint_states"
 
 
-def read_log(source: Path, out: Path | None, given: Mapping[str, Any]) -> Recording | Model:
+def read_log(source: Path, out: Path | None, given: dict[str, Any]) -> Recording | Model:
     """Read a log with the ``given`` options, and write ``out``: ``exchange.import_log``."""
+    given |= {name: [given[name]] for name in LISTS if isinstance(given.get(name), str)}
     if out is not None:
         check_writable(out)
     if source.suffix == ".json" and source.is_file() and is_bam_parameters(read_json(source)):
