@@ -3,12 +3,13 @@ DEVICE ?= cpu
 JOBS ?= auto
 PIP_EXTRA ?=
 BIN = .venv/bin
+PIP = $(BIN)/pip install --quiet --constraint constraints.txt $(PIP_EXTRA)
 # Compiled files are kept: each of the processes that tests start would else compile all of it anew
 PYTEST = PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
 
 .PHONY: demo test test-all docs validate bench yardstick
 
-demo: .venv/installed   ## the main job on the shipped data, ending in an HTML report
+demo: .venv/demo   ## the main job on the shipped data, ending in an HTML report
 	$(BIN)/sim2real demo --out reports/demo
 
 test: .venv/installed   ## lint, types and tests, in as many processes as there are cores
@@ -21,7 +22,7 @@ test-all: test   ## the slow tests too
 	$(PYTEST) -m slow
 
 docs: .venv/installed   ## the documentation, in build/site; a warning is an error
-	$(BIN)/pip install --quiet --constraint constraints.txt $(PIP_EXTRA) --editable '.[docs]'
+	$(PIP) --editable '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 validate: .venv/installed   ## accuracy: known servos recovered, real ones fitted, published cases; DEVICE=cuda:0 for finer cells
@@ -37,9 +38,14 @@ bench: .venv/installed   ## speed and memory, as ratios; first how fast the mach
 yardstick: .venv/installed   ## what moved in the answers of the verbs since benchmarks/yardstick.json was written
 	$(BIN)/python -m benchmarks.yardstick
 
-.venv/installed: pyproject.toml constraints.txt
+# The demo needs neither tools of tests nor other simulators; the rest is installed beside it
+.venv/demo: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --constraint constraints.txt $(PIP_EXTRA) --editable '.[report,ros,sim,rl,render,hardware,arviz,completion,dev]'
+	$(PIP) --editable '.[report,sim,rl]'
+	touch $@
+
+.venv/installed: .venv/demo
+	$(PIP) --editable '.[ros,render,hardware,arviz,completion,dev]'
 	touch $@
 
 include reports/Makefile

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from sim.verbs import diagnose as diagnose
     from sim.verbs import fit_twin as fit_twin
     from sim.verbs import simulate as simulate
-    from sim2real.check import check as check
     from sim2real.errors import InputError as InputError
+    from sim2real.exchange import export as export
+    from sim2real.exchange import import_log as import_log
     from sim2real.model import Model as Model
     from sim2real.model import read_model as read_model
     from sim2real.model import write_model as write_model
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from sim2real.recording import write_recording as write_recording
     from sim2real.robot import Robot as Robot
     from sim2real.robot import read_robot as read_robot
+    from sim2real.verbs import check as check  # type: ignore[no-redef]
     from sim2real.verbs import density as density  # type: ignore[no-redef]
     from sim2real.verbs import identify as identify
     from sim2real.verbs import posterior as posterior
@@ -39,12 +41,13 @@ if TYPE_CHECKING:
 _NAMES = {
     "rl.verbs": ("forecast",),
     "sim.verbs": ("calibrate", "design", "diagnose", "fit_twin", "simulate"),
-    "sim2real.check": ("check",),
     "sim2real.errors": ("InputError",),
+    "sim2real.exchange": ("export", "import_log"),
     "sim2real.model": ("Model", "read_model", "write_model"),
     "sim2real.recording": ("Recording", "read_recording", "write_recording"),
     "sim2real.robot": ("Robot", "read_robot"),
     "sim2real.verbs": (
+        "check",
         "density",
         "identify",
         "posterior",
@@ -69,7 +72,7 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES})
+    return sorted(_HOMES)
 
 
 class _Package(ModuleType):

@@ -51,6 +51,23 @@ class Check(NotebookDisplay):
         return [*self.findings, *merged(rows)]
 
 
+class Checks(tuple[Check, ...]):
+    """The checks of several recordings, which print one below the other."""
+
+    def __str__(self) -> str:
+        """The checks as text."""
+        return "\n\n\n".join(map(str, self))
+
+    def _repr_html_(self) -> str:
+        """The checks as HTML for IPython."""
+        return "\n".join(check._repr_html_() or f"<pre>{check}</pre>" for check in self)
+
+    @property
+    def all_findings(self) -> list[RecordingFinding]:
+        """The findings of all recordings."""
+        return [finding for check in self for finding in check.all_findings]
+
+
 def check(recording: Recording, robot: Robot | None = None, *, seed: int = 0) -> Check:
     """Check a recording; with ``robot``, also against its limits and data sheets.
 

@@ -7,6 +7,8 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import product
+from math import nan
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from sim2real.arm.description import Arm, arm_content, arm_from
@@ -19,6 +21,7 @@ from sim2real.structured import Fields, number_or_infinity, read_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from pandas import DataFrame
 
 SCHEMA = "sim2real.model/1"
 _ROTOR_IN_LOAD = "rotor_in_load"
@@ -39,7 +42,7 @@ class FittedEffect:
 
 
 @dataclass(frozen=True)
-class JointModel:
+class JointModel(NotebookDisplay):
     """One servo: torque = kp (command(t - latency) - position) - kd velocity, within its limits.
 
     Attributes:
@@ -58,6 +61,8 @@ class JointModel:
         interval: Interval by parameter, of ``Model.interval_level``; an end is infinite where the
             data do not constrain it.
         correlation: Correlation of the estimates by pair, ``"a, b"``.
+        standard_error: Standard error of each parameter that was fitted, in its unit; infinite
+            where the data do not constrain it. Empty in files of earlier versions.
         effects: Effects in addition to the law.
         by_prior: Names of fitted parameters that the prior determines, and not the recordings.
         notes: Remarks on these values, one sentence each.
@@ -73,9 +78,35 @@ class JointModel:
     load: Load | None = None
     interval: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     correlation: Mapping[str, float] = field(default_factory=dict)
+    standard_error: Mapping[str, float] = field(default_factory=dict)
     effects: tuple[FittedEffect, ...] = ()
     notes: tuple[str, ...] = ()
     by_prior: tuple[str, ...] = ()
+
+    @property
+    def values(self) -> dict[str, float]:
+        """All parameters by name, in SI units."""
+        names = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s", "inertia_kgm2")
+        found = {name: vars(self)[name] for name in names}
+        found |= {f"motor.{name}": value for name, value in self.motor.items()}
+        for effect in self.effects:
+            found |= {f"{effect.effect}.{name}": x for name, x in effect.parameters.items()}
+        return found
+
+    @property
+    def covariance(self) -> DataFrame:
+        """Covariance of the F fitted parameters (F, F), in products of their units.
+
+        ``standard_error`` and ``correlation``; infinite or NaN where the data constrain none.
+        """
+        from pandas import DataFrame
+
+        error = self.standard_error
+        covariance = DataFrame(0.0, index=list(error), columns=list(error))
+        for a, b in product(error, error):
+            correlation = self.correlation.get(f"{a}, {b}", self.correlation.get(f"{b}, {a}", 0.0))
+            covariance.loc[a, b] = error[a] * error[b] * (1.0 if a == b else correlation)
+        return covariance
 
 
 @dataclass(frozen=True)
@@ -93,6 +124,9 @@ class Model(NotebookDisplay):
         arm: The rigid bodies that load the servos of an arm.
         firmware_p_gain: Gain of the firmware to which kp belongs; None where it is not known.
         interval_level: Probability of the intervals.
+        residuals: Measured less simulated angles of the samples that ``identify`` fitted, with
+            columns ``joint``, ``recording``, ``t_s`` and ``residual_rad``; None of another model,
+            and of a file, which does not keep them.
     """
 
     joints: Mapping[str, JointModel]
@@ -104,6 +138,28 @@ class Model(NotebookDisplay):
     arm: Arm | None = None
     firmware_p_gain: float | None = None
     interval_level: float = LEVEL
+    residuals: DataFrame | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def covariance(self) -> dict[str, DataFrame]:
+        """Covariance of the fitted parameters of each joint."""
+        return {name: joint.covariance for name, joint in self.joints.items()}
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each parameter of each joint, by their names, in SI units.
+
+        The columns are ``value``, ``low`` and ``high``, the ends of its interval, and
+        ``standard_error``; NaN where there is none.
+        """
+        from pandas import DataFrame
+
+        rows = [
+            (name, key, value, *joint.interval.get(key, (nan, nan)), joint.standard_error.get(key))
+            for name, joint in self.joints.items()
+            for key, value in joint.values.items()
+        ]
+        columns = ["joint", "parameter", "value", "low", "high", "standard_error"]
+        return DataFrame(rows, columns=columns).set_index(columns[:2]).astype(float)
 
     def plot(self) -> Figure:
         """Gains and latency of every joint, with intervals."""
@@ -130,6 +186,7 @@ def write_model(model: Model, path: str | os.PathLike[str]) -> None:
     content["joints"] = {name: _joint_content(joint) for name, joint in model.joints.items()}
     content["effects"] = [vars(effect) for effect in model.effects]
     content["arm"] = model.arm and arm_content(model.arm)
+    del content["residuals"]
     stated = {k: x for k, x in content.items() if x is not None}
     write_json(path, stated)
 
@@ -159,7 +216,7 @@ def read_model(path: str | os.PathLike[str]) -> Model:
 
 def _joint_content(joint: JointModel) -> dict[str, Any]:
     content = {**vars(joint), "load": joint.load and vars(joint.load)}
-    for name in ("per_inertia", "motor", "load", "by_prior"):
+    for name in ("per_inertia", "motor", "load", "by_prior", "standard_error"):
         if not content[name]:
             del content[name]
     content["interval"] = {
@@ -178,6 +235,7 @@ def _read_joint(fields: Fields) -> JointModel:
     if 0 < motor.number("loop_period_s", 0.0) < SHORTEST_PERIOD_S:
         raise motor.error("loop_period_s", f"0 or at least {SHORTEST_PERIOD_S:g} s")
     interval, correlation = fields.table("interval"), fields.table("correlation")
+    error = fields.table("standard_error")
     return JointModel(
         kp_Nm_per_rad=fields.number("kp_Nm_per_rad", low=0),
         kd_Nms_per_rad=fields.number("kd_Nms_per_rad", low=0),
@@ -189,6 +247,7 @@ def _read_joint(fields: Fields) -> JointModel:
         load=read_load(fields.table("load")) if "load" in fields else None,
         interval={name: _read_interval(interval, name) for name in interval.content},
         correlation={pair: correlation.number(pair) for pair in correlation.content},
+        standard_error={n: error.number(n, low=0, infinite=True) for n in error.content},
         effects=_read_effects(fields),
         notes=fields.sentences("notes"),
         by_prior=fields.sentences("by_prior"),

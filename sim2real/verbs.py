@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from sim2real.errors import InputError, check_positive, check_whole, shown
 
 if TYPE_CHECKING:
+    from sim2real.check import Checks
     from sim2real.model import Model
     from sim2real.posterior.posteriors import Posteriors
     from sim2real.ranges.gather import Gathered
@@ -28,6 +29,31 @@ if TYPE_CHECKING:
     File = str | os.PathLike[str]
     Recorded = Recording | File | Sequence[Recording | File]
     Models = Sequence[Model | File] | Mapping[str, Sequence[Model | File]]
+
+
+def check(recordings: Recorded, robot: Robot | File | None = None, *, seed: int = 0) -> Checks:
+    """Check recordings, and state what they can identify.
+
+    Args:
+        recordings: Recordings (NAME.csv with NAME.json in the same folder).
+        robot: The robot, to check limits and names as well (robot.toml).
+        seed: Seed of the search for an approximate servo, which predicts the precision.
+
+    Returns:
+        The check of each recording, in their order.
+
+    Raises:
+        InputError: If the robot lacks a joint of a recording, or a unit or a column must be in
+            error.
+    """
+    from tqdm import tqdm
+
+    from sim2real.check import Checks
+    from sim2real.check import check as checked
+
+    description = None if robot is None else robot_of(robot)
+    listed = tqdm(recordings_of(recordings), desc="check", unit="recording", disable=None)
+    return Checks(checked(recording, description, seed=seed) for recording in listed)
 
 
 def identify(

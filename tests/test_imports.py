@@ -21,6 +21,7 @@ LIGHT = (
     *REACHES_UP,
     "sim2real/commands/options.py",
     "sim2real/commands/hardware_options.py",
+    "sim2real/exchange.py",
     "sim2real/verbs.py",
     "sim/commands/options.py",
     "sim/verbs.py",

@@ -43,7 +43,9 @@ VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["versi
 
 def test_the_version_of_a_checkout_is_that_of_its_project_file(capsys):
     assert sim2real.__version__ == VERSION
-    assert "__version__" in dir(sim2real)
+    assert set(dir(sim2real)) == {*sim2real.__all__, "__version__"}
+    assert {"check", "export", "import_log"} < set(dir(sim2real))
+    assert all(callable(getattr(sim2real, name)) for name in sim2real.__all__)
     with pytest.raises(SystemExit) as stop:
         main(["--version"])
     assert stop.value.code == 0

@@ -91,7 +91,7 @@ def clone(tmp_path):
         (tmp_path / name).mkdir(parents=True)
     for name in ("Makefile", "reports/Makefile"):
         shutil.copy(ROOT / name, tmp_path / name)
-    for name in ("pyproject.toml", "constraints.txt", ".venv/installed"):
+    for name in ("pyproject.toml", "constraints.txt", ".venv/demo", ".venv/installed"):
         (tmp_path / name).touch()
     for name in ("python", "sim2real", "cp"):
         (tmp_path / "bin" / name).write_text(TOOL)

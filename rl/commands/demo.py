@@ -57,6 +57,11 @@ from sim2real.report.recordings import recordings_section
 from sim2real.robot import Robot, read_robot
 from sim2real.servo.prediction import replay
 
+_AIM = (
+    "{} servos were identified from recordings of the set-points sent to them and the angles that "
+    "they reached, so that a simulator moves as they do and a policy trained in it works on the "
+    "robot."
+)
 LONGEST = 500
 """Longest film in control periods: ten seconds."""
 _DIAGNOSED = ("chirp", "steps")
@@ -88,9 +93,14 @@ def run(options: argparse.Namespace) -> int:
     with _stage("report", str(page)):
         write_page(
             page,
-            robot.name,
-            f"{len(model.joints)} servos identified, a body calibrated, techniques compared",
-            [_summary(model, servos, body, ablation.lead, film), *bench, *swam, ablation],
+            f"{len(model.joints)} servos, from recordings to training",
+            _AIM.format(len(model.joints)),
+            [
+                _summary(recordings[0].source, model, servos, body, ablation.lead, film),
+                *bench,
+                *swam,
+                ablation,
+            ],
             footer_of(results, note),
         )
     print(f"\n{model}")
@@ -238,33 +248,36 @@ def _swim(results: dict[str, Any], options: argparse.Namespace, out: Path, model
 
 
 def _summary(
-    model: Model, servos: Diagnosis, body: Diagnosis, ablation: str, swim: Section
+    source: str, model: Model, servos: Diagnosis, body: Diagnosis, ablation: str, swim: Section
 ) -> Section:
-    """Verdicts, key numbers and the film: the first section of the page."""
-    rows = [
-        ("diagnosis of the servos", _verdict(servos)),
-        ("diagnosis of the body", _verdict(body)),
-    ]
+    """Key numbers, verdicts and the film: the first section of the page."""
+    rows = []
     for name, joint in model.joints.items():
         shown = [q for q in quantities(joint) if q.name in ("kp", "kd", "latency")]
         values = ", ".join(f"{q.name} {q.texts[0]} {q.unit}" for q in shown)
         figures = model.fit[f"{name}.position_rad"]
         error, noise = (milliradians(figures.get(key)) for key in ("heldout", "noise"))
         rows.append((f"servo {name}", f"{values}\nheld-out error {error}, sensor noise {noise}"))
+    rows += [
+        ("missing from the servos", _verdict(servos)),
+        ("missing from the body in water", _verdict(body)),
+        ("policies trained with it", ablation),
+    ]
     lead = (
-        "The recordings give the parameters of the servos and of the body, the physics that both "
-        "models leave out, and ranges for training. The section on the ablation says how the "
-        "policy that swims below was trained."
+        "The sections Recordings, Identification and Diagnosis need servos only; “sim2real check”, "
+        "“identify” and “diagnose” do the same with yours. The later sections go on with a robot "
+        "that swims: its body is calibrated from a recorded swim, and policies trained with and "
+        f"without each of these results are compared. These recordings: {source}"
     )
     film = [Text(swim.lead, "A swim of the trained policy"), *swim.blocks]
-    table = Table(("what", "result"), [*rows, ("ablation", ablation)])
-    return Section("Results", lead, [table, *film])
+    return Section("Results", lead, [Table(("what", "result"), rows), *film])
 
 
 def _verdict(diagnosis: Diagnosis) -> str:
     """The verdict, and below it each effect with its probability."""
     effects = [f"{percent(e.probability)}: {e.statement}" for e in diagnosis.effects]
-    return "\n".join([diagnosis.verdict.replace("_", " "), *effects])
+    verdict = "nothing found" if diagnosis.verdict == "consistent" else diagnosis.verdict
+    return "\n".join([verdict.replace("_", " "), *effects])
 
 
 @contextmanager

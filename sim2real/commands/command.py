@@ -22,6 +22,11 @@ _NUMBERS: dict[str, type] = {"int": int, "float": float}
 _PATHS = ("FILE", "FOLDER", "CSV", "TOML", "MODEL", "PNG", "RECORDING", "PICTURE")
 _TYPES: dict[str, type] = {"N": int, "X": float, **dict.fromkeys(_PATHS, Path)}
 """Type of an option by the name of its value; text by default."""
+_ENTRIES = {
+    "columns": "OURS=THEIRS", "effects": "EFFECT", "inertia": "J=KGM2", "joints": "JOINT",
+    "pendulum": "J=KG,M", "units": "UNIT",
+}  # fmt: skip
+"""An entry of a list of text by the name of the argument; NAME of others."""
 _LINE = re.compile(r"(?P<name>\S+?)(?: (?P<value>\S+?)(?P<count>[?+&]|\*\d)?)?(?P<needed>!?)"
                    r"(?: = (?P<default>\S+))?: (?P<help>.*)")  # fmt: skip
 
@@ -111,7 +116,7 @@ def add_verb(
     command: argparse.ArgumentParser,
     verb: Verb,
     *,
-    positional: Collection[str] = ("recordings",),
+    positional: Collection[str] = ("recordings", "source"),
     leave_out: Collection[str] = (),
 ) -> None:
     """Add an option for each argument of a verb that the parser lacks and that is not left out.
@@ -123,7 +128,7 @@ def add_verb(
     for name, parameter in inspect.signature(verb).parameters.items():
         if name in there or name in leave_out:
             continue
-        options = _options(str(parameter.annotation), parameter.default)
+        options = _options(name, str(parameter.annotation), parameter.default)
         options["help"] = _help(described[name], parameter.default)
         if name in positional:
             options.pop("required", None)
@@ -156,7 +161,7 @@ def _docstring(verb: Verb) -> str:
     return ast.get_docstring(definition) or "" if isinstance(definition, ast.FunctionDef) else ""
 
 
-def _options(annotation: str, default: object) -> dict[str, Any]:
+def _options(name: str, annotation: str, default: object) -> dict[str, Any]:
     """Keyword arguments of ``add_argument`` for an annotation."""
     required = {"required": True} if default is inspect.Parameter.empty else {"default": default}
     kind = annotation.removesuffix(" | None").split(" | ")[0]
@@ -167,7 +172,7 @@ def _options(annotation: str, default: object) -> dict[str, Any]:
         several = {"nargs": count} if kind == "Recorded" else {}
         return {"type": Path, "metavar": _FILES[kind], **several, **required}
     if kind == "Sequence[str]":
-        return {"nargs": "+", "metavar": "NAME", **required}
+        return {"nargs": "+", "metavar": _ENTRIES.get(name, "NAME"), **required}
     if kind.startswith("Literal["):
         return {"choices": tuple(re.findall(r"['\"](\w+)['\"]", kind)), **required}
     return {"type": _NUMBERS.get(kind, str), **required}

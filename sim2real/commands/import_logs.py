@@ -8,49 +8,16 @@ from __future__ import annotations
 import argparse
 import sys
 import tomllib
-from collections.abc import Sequence
-from dataclasses import replace
-from pathlib import Path
 
-import numpy as np
-
-from sim2real.clock import check_sampling
+from sim2real import exchange
+from sim2real.commands.command import arguments_of
 from sim2real.errors import InputError
 from sim2real.findings import all_findings
-from sim2real.importers.bam import is_bam_parameters, read_bam, read_bam_parameters
-from sim2real.importers.lerobot import is_lerobot, read_lerobot
-from sim2real.importers.options import (
-    MAP,
-    SECONDS_PER,
-    Conversion,
-    ask_for,
-    conversion,
-    loads_of,
-    refuse,
-)
-from sim2real.importers.rosbag import read_bag
-from sim2real.importers.tables import column_map, read_table
 from sim2real.importers.urdf import read_urdf, robot_toml
-from sim2real.model import write_model
+from sim2real.model import Model
 from sim2real.output import check_writable, write_whole
-from sim2real.recording import Recording, write_recording
-from sim2real.structured import read_json
+from sim2real.recording import Recording
 
-BAGS = (".bag", ".db3", ".mcap")
-TABLES = (".csv", ".tsv")
-KINDS = f"a BAM log (.json), a ROS bag (a folder, {', '.join(BAGS)}), a LeRobot dataset (a folder "
-KINDS += f"with meta/info.json) or a table ({', '.join(TABLES)})"
-LOADS = ("inertia", "pendulum")
-ANGLES = ("units", "counts_per_turn", "zero_count", "calibration")
-OPTIONS = {
-    "a BAM log": LOADS,
-    "BAM's parameters": LOADS,
-    "a ROS bag": ("state_topic", "command_topic", "joints", *LOADS),
-    "a LeRobot dataset": (*ANGLES, "episode", "joints", *LOADS),
-    "a table": ("columns", "time_unit", *ANGLES, *LOADS),
-}
-"""Options of each kind of log."""
-STATE_TOPIC = "/joint_states"
 _UNKNOWN_LOAD = (
     "load unknown of {joints}: identify will fit kp and kd per unit of inertia (1/s2, 1/s), not in "
     "N m; to state the load, import again with --inertia {joint}=KGM2 (the load without the "
@@ -58,91 +25,27 @@ _UNKNOWN_LOAD = (
 )
 
 
-def run(args: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
     """Import one log; print a summary, and a remark on joints with unknown loads."""
-    source, out = Path(args.source), check_writable(args.out)
-    if source.suffix == ".json" and source.is_file() and is_bam_parameters(read_json(source)):
-        _refuse_others(source, "BAM's parameters", args)
-        return _import_parameters(source, out, args)
-    if out.suffix != ".csv":
-        raise InputError(out, "", f"the ending {out.suffix!r}", "a file name ending in .csv")
-    if source.resolve() in (out.resolve(), out.with_suffix(".json").resolve()):
-        raise InputError(out, "", "a name that would overwrite the log", "another name")
-    recording = _read(source, args)
-    loads = loads_of(args.inertia, args.pendulum, recording.joints)
-    recording = replace(recording, loads={**recording.loads, **loads})
-    measured_at = recording.t[np.isfinite(recording.position).any(axis=1)]
-    check_sampling(source, measured_at, where="times")
-    write_recording(recording, out)
-    print(f"{out}: {_summary(recording)}")
-    for warning in recording.metadata.get("import_warnings", ()):
-        print(f"! {warning}")
-    for finding in all_findings(recording):
-        if finding.severity != "note":
-            print(f"! {finding.severity}: {finding.text}")
+    found = exchange.import_log(**arguments_of(exchange.import_log, options))
+    if isinstance(found, Model):
+        settings = found.provenance["servo"]
+        about = f"gain {settings['firmware_gain']:g}, supply {settings['supply_V']:g} V"
+        notes = [f"  {note}" for note in found.joints["j1"].notes]
+    else:
+        about, notes = _summary(found), _remarks(found)
+    print("\n".join([f"{options.out}: {about}", *notes]))
+    return 0
+
+
+def _remarks(recording: Recording) -> list[str]:
+    """What the importer and the check warn of, and what unknown loads lead to."""
+    lines = [f"! {warning}" for warning in recording.metadata.get("import_warnings", ())]
+    findings = [one for one in all_findings(recording) if one.severity != "note"]
+    lines += [f"! {finding.severity}: {finding.text}" for finding in findings]
     if unknown := [joint for joint in recording.joints if joint not in recording.loads]:
-        print(_UNKNOWN_LOAD.format(joints=", ".join(unknown), joint=unknown[0]))
-    return 0
-
-
-def _import_parameters(source: Path, out: Path, args: argparse.Namespace) -> int:
-    """Import parameters that BAM identified as a model; print what it does not express."""
-    loads = loads_of(args.inertia, args.pendulum, ["j1"])
-    if not loads:
-        expected = "the load of the servo, which parameters of BAM do not state"
-        raise InputError(source, "", "no --inertia or --pendulum j1=...", expected)
-    if out.suffix != ".json":
-        raise InputError(out, "", f"the ending {out.suffix!r}", "a model, a name ending in .json")
-    if source.resolve() == out.resolve():
-        raise InputError(out, "", "a name that would overwrite the parameters", "another name")
-    model = read_bam_parameters(source, loads["j1"])
-    write_model(model, out)
-    settings = model.provenance["servo"]
-    print(f"{out}: gain {settings['firmware_gain']:g}, supply {settings['supply_V']:g} V")
-    for note in model.joints["j1"].notes:
-        print(f"  {note}")
-    return 0
-
-
-def _read(source: Path, args: argparse.Namespace) -> Recording:
-    if source.suffix == ".json" and not source.is_dir():
-        _refuse_others(source, "a BAM log", args)
-        return read_bam(source)
-    if not source.exists():
-        raise InputError(source, "", "no such file", KINDS)
-    if is_lerobot(source):
-        _refuse_others(source, "a LeRobot dataset", args)
-        return read_lerobot(source, _units(source, args), episode=args.episode, joints=args.joints)
-    if source.suffix in TABLES:
-        _refuse_others(source, "a table", args)
-        lacking = [] if args.columns else [f"--columns {MAP}"]
-        lacking += [] if args.time_unit else [f"--time-unit {'|'.join(SECONDS_PER)}"]
-        units = _units(source, args, lacking)
-        return read_table(source, column_map(args.columns), units, time_unit=args.time_unit)
-    if not source.is_dir() and source.suffix not in BAGS:
-        raise InputError(source, "", f"the ending {source.suffix!r}", KINDS)
-    _refuse_others(source, "a ROS bag", args)
-    ask_for(source, [] if args.command_topic else ["--command-topic TOPIC (of the set-points)"])
-    state_topic = args.state_topic or STATE_TOPIC
-    return read_bag(
-        source, state_topic=state_topic, command_topic=args.command_topic, joints=args.joints
-    )
-
-
-def _refuse_others(source: Path, kind: str, args: argparse.Namespace) -> None:
-    """Refuse options that belong to another kind of log."""
-    known = {name for names in OPTIONS.values() for name in names} - set(OPTIONS[kind])
-    given = [name for name in vars(args) if name in known and getattr(args, name) is not None]
-    refuse(source, _flags(given), kind, _flags(OPTIONS[kind]))
-
-
-def _flags(names: Sequence[str]) -> list[str]:
-    return [f"--{name.replace('_', '-')}" for name in names]
-
-
-def _units(source: Path, args: argparse.Namespace, lacking: Sequence[str] = ()) -> Conversion:
-    values = (args.units, args.counts_per_turn, args.zero_count, args.calibration)
-    return conversion(*values, source=source, lacking=lacking)
+        lines.append(_UNKNOWN_LOAD.format(joints=", ".join(unknown), joint=unknown[0]))
+    return lines
 
 
 def _summary(recording: Recording) -> str:

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from sim2real import verbs
+from sim2real import exchange, verbs
 from sim2real.commands.command import VIEWS, command, commands
 
 _RUNS, _EXPORTS = "sim2real.commands.recordings", "sim2real.commands.exports"
 _IMPORTS = "sim2real.commands.import_logs"
 
 
-_CHECK = """
-recordings RECORDING+: recordings (NAME.csv with NAME.json in the same folder)
---robot TOML: the robot, to check limits and names as well (robot.toml)
-"""
 _IDENTIFY = """
 --out MODEL!: model to write (MODEL.json)
 --no-plots: do not plot the fits (MODEL.JOINT.png)
@@ -72,25 +68,8 @@ robot TOML: the robot, with masses and lengths of its links (robot.toml)
 --plot PNG: plot of the mass distribution to write
 """
 _IMPORT = """
-source FILE: a BAM log (.json), a ROS 1 or 2 bag, a LeRobot dataset (its folder), a table
-    (.csv, .tsv), or BAM's parameters of a servo (.json)
 --out CSV!: recording to write (of parameters: model)
---state-topic TOPIC: bag: measured joint states
 --command-topic TOPIC&: bag: commanded positions; once, or once for each joint
---joints JOINT+: bag, dataset: joints, in order
---units UNIT+: dataset, table: unit of the angles: rad, deg, turns, counts, range_m100_100 or
-    range_0_100; JOINT=UNIT for one joint, JOINT.command=UNIT or JOINT.position=UNIT for one of
-    its columns
---calibration FILE: calibration file of LeRobot
---counts-per-turn N: encoder counts per turn
---zero-count X: encoder count at angle 0
---episode N: dataset: number of the episode, from 0
---columns OURS=THEIRS+: table: names of the columns, t=COLUMN J.command=COLUMN
-    J.position=COLUMN ...; of arrays 'qpos[0]'
---time-unit s|ms|us|ns: table: unit of t
---inertia J=KGM2+: load of a joint: its inertia without the servo's rotor, kg m2
---pendulum J=KG,M+: load of a joint: mass that hangs straight down at angle 0, and its distance
-    from the shaft
 """
 
 
@@ -101,7 +80,7 @@ COMMANDS = commands(
             ["--out FOLDER = example: folder to write"],
             "--out example",
         ),
-        "check": (f"{_RUNS}:check", [_CHECK], "steps.csv sine.csv --robot robot.toml"),
+        "check": (f"{_RUNS}:check", [verbs.check], "steps.csv sine.csv --robot robot.toml"),
         "identify": (
             f"{_RUNS}:identify",
             [verbs.identify, _IDENTIFY, VIEWS],
@@ -124,7 +103,7 @@ COMMANDS = commands(
         ),
         "import": (
             _IMPORTS,
-            [_IMPORT],
+            [_IMPORT, exchange.import_log],
             "run.bag --state-topic /joint_states --command-topic /goal --out run.csv",
         ),
         "robot": (f"{_IMPORTS}:robot", [_ROBOT], "from-urdf arm.urdf --out robot.toml"),

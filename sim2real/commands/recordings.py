@@ -12,7 +12,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from sim2real import verbs
 from sim2real.commands.command import arguments_of
@@ -20,7 +19,7 @@ from sim2real.commands.files import check_views, check_written, save_plot, write
 from sim2real.errors import InputError, if_installed, library
 from sim2real.model import Model, read_model, write_model
 from sim2real.output import beside, check_writable, is_stream
-from sim2real.recording import read_commands, read_recording, write_recording
+from sim2real.recording import read_commands, write_recording
 from sim2real.robot import read_robot, with_density
 from sim2real.servo.prediction import Prediction, Replay, replay
 from sim2real.viewers.scenes import Scene, with_prediction
@@ -41,14 +40,10 @@ def example(options: argparse.Namespace) -> int:
 
 def check(options: argparse.Namespace) -> int:
     """Print the check of each recording; status 2 if one of them would not be fitted."""
-    from sim2real.check import check as checked
-
-    robot = read_robot(options.robot) if options.robot else None
-    paths = tqdm(options.recordings, desc="check", unit="recording", disable=None)
-    checks = [checked(read_recording(path), robot, seed=options.seed) for path in paths]
-    options.result = checks
-    print("\n\n\n".join(map(str, checks)) + "\n")
-    refused = any(finding.severity == "error" for one in checks for finding in one.all_findings)
+    checks = verbs.check(**arguments_of(verbs.check, options))
+    options.result = list(checks)
+    print(f"{checks}\n")
+    refused = any(finding.severity == "error" for finding in checks.all_findings)
     return 2 if refused else 0
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from sim2real.effects import named
 from sim2real.errors import InputError
@@ -178,6 +179,14 @@ class Export:
 
     text: str
     left_out: tuple[LeftOut, ...]
+    # of servos: ``compared`` and ``refitted`` joints, and ``agreement`` where the simulator was run
+    errors: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        """What is not expressed, and the errors, one line each."""
+        title = ["not expressed there (the file says so too):"] if self.left_out else []
+        lines = [f"  {line}" for line in self.left_out]
+        return "\n".join([*title, *lines, *(str(x) for rows in self.errors.values() for x in rows)])
 
 
 def actuators(model: Model, robot: Robot | None = None) -> tuple[Actuator, ...]:

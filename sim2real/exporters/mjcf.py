@@ -22,7 +22,7 @@ from sim2real.exporters.actuator import Export, LeftOut, listed
 from sim2real.exporters.mjcf_text import MjcfHinge, limited, with_servo
 from sim2real.exporters.mujoco import expressed, mujoco
 from sim2real.exporters.mujoco_bench import BRISTLES, simulated
-from sim2real.exporters.nearest import Nearest, Which, excitation, fitting_data, nearest
+from sim2real.exporters.nearest import Which, excitation, fitting_data, nearest
 from sim2real.identification.search import errors_of
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.output import is_stream, protect
@@ -81,12 +81,12 @@ def responses(
 
 def into_robot(
     file: Path,
-    names: Sequence[str],
     out: Path,
+    names: Sequence[str],
     model: Model,
     recordings: Sequence[Recording] = (),
     which: Which = "nearest",
-) -> tuple[Export, Nearest, tuple[StepResponse, ...]]:
+) -> Export:
     """An MJCF file with identified servos on its hinges ``names``, and their steps in it.
 
     The servo of a hinge is the model's joint of that name, or its only one. Gains per unit of
@@ -129,7 +129,8 @@ def into_robot(
             if any(len(responses(x.t, x.command, x.measured)) for x in traces):
                 steps += robot.steps((name, drive), found, traces, what, out.name)
                 break
-    return Export(text, tuple(lines)), made, tuple(steps)
+    errors = {"compared": made.compared, "refitted": made.refits, "steps": tuple(steps)}
+    return Export(text, tuple(lines), errors)
 
 
 def _on_inertia(name: str, joint: JointModel, inertia: float) -> tuple[JointModel, list[LeftOut]]:

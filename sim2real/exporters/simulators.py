@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
 from sim2real.effects import CATALOGUE
+from sim2real.errors import InputError
 from sim2real.exporters.actuator import (
     BEYOND_LIMIT,
     SATURATION,
@@ -23,7 +24,10 @@ from sim2real.exporters.actuator import (
     limit_with_back_emf,
     shared_left_out,
 )
+from sim2real.exporters.costs import Cost, costs
 from sim2real.exporters.mujoco import HAS, expressed, mujoco, xml_text
+from sim2real.exporters.mujoco_bench import Agreement, mujoco_export
+from sim2real.exporters.nearest import Which, nearest
 from sim2real.exporters.python_texts import (
     PLAY,
     bam_text,
@@ -36,6 +40,7 @@ from sim2real.exporters.python_texts import (
 )
 from sim2real.model import JointModel, Model
 from sim2real.output import finite_json
+from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.servo.parameters import SOFT
 
@@ -302,3 +307,26 @@ TARGETS: Mapping[str, Target | MuJoCo] = {
     ),
 }  # fmt: skip
 """By the name that ``export-servo --to`` takes."""
+
+
+def export_servos(
+    model: Model, to: str, recordings: Sequence[Recording], robot: Robot | None, which: Which
+) -> Export:
+    """The model's actuators for ``to``, refitted without effects that it lacks (``nearest``)."""
+    for recording in recordings:
+        if not set(recording.joints) & set(model.joints):
+            found = f"joints {', '.join(recording.joints)}"
+            raise InputError(recording.file, "joints", found, f"one of {', '.join(model.joints)}")
+    target = TARGETS[to]
+    if to == "json":  # which has everything
+        return target.write(model, robot)
+    differences: Sequence[Agreement | Cost]
+    if to == "mujoco":
+        export, fitted, differences = mujoco_export(model, recordings, robot, which)
+    else:
+        fitted = nearest(model, target.expressed, recordings, robot, which=which)
+        export = target.write(fitted.model, robot, fitted.dropped)
+        whole, proportional = target.partly.get("latency") is STEPS, to == "isaaclab-bam"
+        differences = costs(fitted.model, whole_steps=whole, proportional=proportional)
+    errors = {"compared": fitted.compared, "refitted": fitted.refits, "agreement": differences}
+    return replace(export, errors=errors)

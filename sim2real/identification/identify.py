@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,12 +21,13 @@ from sim2real.identification.joint_fit import (
 from sim2real.identification.priors import MOTOR_SHEET, gains
 from sim2real.identification.problem import Fit
 from sim2real.identification.reading_noise import left_out, while_powered, with_reading_noise
-from sim2real.identification.search import error_on, fit
+from sim2real.identification.search import error_on, errors_of, fit
 from sim2real.identification.uncertainty import (
     GAINS,
     Uncertainty,
     beyond_data_sheet,
     intervals,
+    standard_errors,
     uncertainty,
 )
 from sim2real.inference.correlated_noise import correlation_samples, whiteness
@@ -46,6 +48,9 @@ from sim2real.servo.trace import (
     split,
     traces,
 )
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 _SIDE_BY_SIDE = 2
 """Number of joints fitted concurrently, to keep the processor busy between rollouts."""
@@ -92,7 +97,7 @@ def identify(
         raise InputError(recordings[0].file, place, found, expected)
     options = _Options(tuple(extra), effort, interval, refit, bool(warnings))
 
-    def identify_joint(joint: str) -> tuple[JointModel, dict[str, float | None], str]:
+    def identify_joint(joint: str) -> tuple[JointModel, dict[str, float | None], str, Fit]:
         data, notes = with_reading_noise(traces(recordings, joint), slow=True), list[str]()
         servo = _servo(robot, joint, law or ("pd" if extra else None))
         check_samples(split(data, held_out)[0], joint)
@@ -106,12 +111,13 @@ def identify(
     inputs = [r.path for r in recordings if r.path] + ([robot.path] if robot.path else [])
     origin = provenance(inputs, seed)
     return Model(
-        joints={joint: model for joint, (model, _, _) in results.items()},
-        fit={f"{joint}.position_rad": figures for joint, (_, figures, _) in results.items()},
+        joints={joint: model for joint, (model, *_) in results.items()},
+        fit={f"{joint}.position_rad": figures for joint, (_, figures, *_) in results.items()},
         notes=warnings + advice.on_recordings(recordings, [j for j in recorded if j not in moving]),
-        provenance=origin | {"held_out": {j: held for j, (_, _, held) in results.items()}},
+        provenance=origin | {"held_out": {j: held for j, (_, _, held, _) in results.items()}},
         firmware_p_gain=next(filter(None, map(firmware_gain, recordings)), None),
         interval_level=interval,
+        residuals=_residuals({joint: found for joint, (*_, found) in results.items()}),
     )
 
 
@@ -230,7 +236,7 @@ def _identify_joint(
     seed: int,
     notes: list[str],
     options: _Options,
-) -> tuple[JointModel, dict[str, float | None], str]:
+) -> tuple[JointModel, dict[str, float | None], str, Fit]:
     """The model of one joint, its errors and what was held out for them."""
     load, pendulum = data[0].load, shows_inertia(data)
     data, found = _fits_while_powered(data, held_out, servo, options, seed)
@@ -280,7 +286,21 @@ def _identify_joint(
     } | figures
     notes += advice.on_fit(best, spread, ends, found.without_influence, figures, options.warned)
     joint = _joint_model(found, ends, spread, load, tuple(notes))
-    return replace(joint, by_prior=by_prior), figures, held_out_name
+    joint = replace(joint, by_prior=by_prior, standard_error=standard_errors(best, spread, ends))
+    return joint, figures, held_out_name, best
+
+
+def _residuals(fits: Mapping[str, Fit]) -> DataFrame:
+    """Measured less simulated angles of all joints, a row for each sample (``Model``)."""
+    from pandas import DataFrame, concat
+
+    parts = []
+    for joint, found in fits.items():
+        data = found.problem.traces
+        for trace, error in zip(data, errors_of(found.row, data), strict=True):
+            of = {"joint": joint, "recording": trace.name}
+            parts.append(DataFrame({**of, "t_s": trace.t[trace.used], "residual_rad": -error}))
+    return concat(parts, ignore_index=True)
 
 
 def _joint_model(

@@ -168,6 +168,18 @@ def intervals(
     return result
 
 
+def standard_errors(
+    best: Fit, spread: Uncertainty, ends: Mapping[str, tuple[float, float]]
+) -> dict[str, float]:
+    """Standard errors of the fitted parameters in SI units, infinite where intervals are open.
+
+    Of parameters searched as logarithms by their derivative (the delta method).
+    """
+    scale = best.problem.unit * np.where(best.problem.log, best.values, 1.0)
+    errors = zip(best.names, (spread.sd * scale).tolist(), strict=True)
+    return {name: np.inf if np.isinf(ends[name][1]) else error for name, error in errors}
+
+
 def beyond_data_sheet(
     motor: Fit,
     ends: Mapping[str, tuple[float, float]],

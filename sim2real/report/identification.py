@@ -87,6 +87,15 @@ def model_blocks(model: Model) -> list[Block]:
     return [*blocks, *(Note("warn", printable(note)) for note in (*notes, *model.notes))]
 
 
+def joint_blocks(joint: JointModel) -> list[Block]:
+    """Parameters, correlations and effects of one servo, which has no name, and its notes."""
+    table = quantity_table([("", quantity) for quantity in quantities(joint)])
+    header = (*table.header[1:4], "interval", "")
+    notes = [Note("info", printable(remark)) for remark in _remarks(joint)]
+    notes += [Note("warn", printable(note)) for note in joint.notes]
+    return [Table(header, [row[1:] for row in table.rows]), *notes]
+
+
 def _error(signal: str, value: float | None) -> str:
     if value is None or not math.isfinite(value):
         return "-"

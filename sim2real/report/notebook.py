@@ -11,14 +11,14 @@ from sim2real.check import Check
 from sim2real.design.plan import Design
 from sim2real.design.tell_apart import RivalDesign
 from sim2real.diagnose.result import Diagnosis
-from sim2real.model import Model
+from sim2real.model import JointModel, Model
 from sim2real.posterior.posteriors import Posteriors
 from sim2real.ranges.entry import Ranges
 from sim2real.ranges.gather import Gathered
 from sim2real.recording import Recording
 from sim2real.report.design_plot import design_section, rivals_section
 from sim2real.report.diagnosis import effect_tables
-from sim2real.report.identification import model_blocks
+from sim2real.report.identification import joint_blocks, model_blocks
 from sim2real.report.page import Note, Section, Table, render_fragment
 from sim2real.report.quantity import milliradians, printable
 from sim2real.report.ranges import density_section, gathered_blocks, posterior_table, range_blocks
@@ -55,6 +55,7 @@ result_section.register(Recording)(recording_section)
 result_section.register(RivalDesign)(rivals_section)
 result_section.register(ServoLibrary)(lambda library: servos_section(list(library)))
 result_section.register(Model)(lambda model: Section("Model", "", model_blocks(model)))
+result_section.register(JointModel)(lambda joint: Section("Servo", "", joint_blocks(joint)))
 result_section.register(Ranges)(lambda ranges: Section(_RANGES, "", range_blocks(ranges)))
 result_section.register(Gathered)(lambda found: Section(_RANGES, "", gathered_blocks(found)))
 

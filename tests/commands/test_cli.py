@@ -17,6 +17,7 @@ from good_input import refused
 
 import sim.verbs
 import sim2real as s2r
+import sim2real.exchange
 import sim2real.verbs
 from sim2real import cli
 from sim2real.cli import main, parser
@@ -214,8 +215,9 @@ def test_demo_ends_in_a_page(train, short, tmp_path, capsys, monkeypatch):
     folders = ["--data", str(data / "servo_steps"), "--pool", str(data / "pool")]
     assert main(["demo", *folders, "--out", str(out), *(["--train"] if train else [])]) == 0
     page = (out / "index.html").read_text()
-    assert "Identification" in page
-    assert "Diagnosis of the swim" in page
+    assert "Diagnosis of the swim" in page and "Identification" in page
+    said = page.split("<body>")[1].partition("</header>")[0]
+    assert "3 servos were identified from recordings" in said and "fish" not in said
     assert page.index("Results</h2>") < page.index("data:image/gif") < page.index("Recordings</h2>")
     assert page.count("<script>") == 1 and page.count('class="panels"') >= 4
     assert ("The agents were trained in this run" in page) == train
@@ -251,12 +253,14 @@ def test_demo_as_it_ships_finds_the_servos_calibration_significant(tmp_path, cap
 VERBS = {
     name: getattr(module, name)
     for module, names in (
-        (sim2real.verbs, ("identify", "density", "posterior", "ranges", "predict")),
+        (sim2real.exchange, ("export", "import_log")),
+        (sim2real.verbs, ("check", "identify", "density", "posterior", "ranges", "predict")),
         (sim.verbs, ("diagnose", "design", "calibrate", "fit_twin", "simulate")),
     )
     for name in names
 }
-SET_BY_THE_COMMAND = {"ranges": {"chains"}}
+SET_BY_THE_COMMAND = {"ranges": {"chains"}, "export": {"source", "recordings"}}
+COMMAND_OF = {"import_log": "import", "export": "export-servo"}
 
 
 def options_of(command: str) -> dict[str, argparse.Action]:
@@ -272,12 +276,12 @@ def test_every_argument_of_a_verb_is_described(name):
 
 @pytest.mark.parametrize("name", [name for name in VERBS if name not in ("posterior", "predict")])
 def test_a_command_takes_what_its_verb_takes(name):
-    options = options_of(name.replace("_", "-"))
+    options = options_of(COMMAND_OF.get(name, name.replace("_", "-")))
     for argument, parameter in inspect.signature(VERBS[name]).parameters.items():
         if argument in SET_BY_THE_COMMAND.get(name, ()):
             continue
         assert argument in options, f"{name}: {argument}"
-        if parameter.default is not inspect.Parameter.empty:
+        if parameter.default is not inspect.Parameter.empty and not options[argument].required:
             assert options[argument].default == parameter.default, f"{name}: {argument}"
 
 

@@ -3,8 +3,9 @@ import json
 import pytest
 from good_input import refused
 
+import sim2real as s2r
 from sim2real.cli import main
-from sim2real.commands import import_logs as command
+from sim2real.importers import read_log
 from sim2real.recording import Load, read_recording
 
 
@@ -47,9 +48,9 @@ def test_bags_go_to_the_reader_of_bags(tmp_path, monkeypatch, log, capsys):
 
     def read_bag(source, **options):
         seen.update(options, source=source)
-        return command.read_bam(log)
+        return read_log.read_bam(log)
 
-    monkeypatch.setattr(command, "read_bag", read_bag)
+    monkeypatch.setattr(read_log, "read_bag", read_bag)
     for name in ("a.bag", "a.db3", "a.mcap"):
         (tmp_path / name).touch()
     for source in (tmp_path, *(tmp_path / name for name in ("a.bag", "a.db3", "a.mcap"))):
@@ -128,6 +129,12 @@ def test_without_loads_the_last_line_says_what_identify_will_do(tmp_path, capsys
 def test_loads_are_stated(tmp_path, capsys, options, load):
     assert table(tmp_path, *options) == 0
     assert read_recording(tmp_path / "pan.csv").loads == {"pan": load}
+    named = {"columns": COMPLETE["--columns"], "time_unit": "ms", "units": "counts"}
+    named |= {"counts_per_turn": 4096, "zero_count": 2048}
+    named |= {options[k].removeprefix("--"): options[k + 1 : k + 2] for k in (0, len(options) - 2)}
+    same = tmp_path / "same.csv"
+    assert s2r.import_log(tmp_path / "log.csv", same, **named).loads == {"pan": load}
+    assert same.read_text() == (tmp_path / "pan.csv").read_text()
     (line,) = capsys.readouterr().out.splitlines()
     assert "load known on pan" in line
 

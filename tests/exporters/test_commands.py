@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from good_input import MODEL, ROBOT
+from good_input import MODEL, ROBOT, message
 from simulated import steps
 
+import sim2real as s2r
 from sim2real.cli import main
 from sim2real.exporters.mujoco_bench import simulate
 from sim2real.recording import read_recording
@@ -27,7 +28,7 @@ def test_what_is_lacking_is_printed_and_written(model, target, capsys):
     call = ["export-servo", str(model), "--to", target, "--out", str(out), "--robot", str(robot)]
     # Without friction or inertia of the output MuJoCo's play is no better than a plain servo.
     assert main([*call, "--which", "effects"] if target == "mujoco" else call) == 0
-    first, *listed = capsys.readouterr().out.splitlines()
+    first, *listed = said = capsys.readouterr().out.splitlines()
     assert first == f"{out}: for {target}"
     text = out.read_text()
     if target == "json":
@@ -42,6 +43,10 @@ def test_what_is_lacking_is_printed_and_written(model, target, capsys):
         assert costs[0].startswith("j1: refitted without backlash: ")
         assert any("backlash (gap_rad = 0.03)" in line for line in listed[1:])
         assert all(line.strip() in text for line in listed[1:])
+    if target != "mujoco":
+        exported = s2r.export(model, target, robot=robot)
+        assert exported.text == text
+        assert str(exported).split("\n") == (said[1:] or [""])
 
 
 def test_ranges(tmp_path, capsys):
@@ -50,6 +55,8 @@ def test_ranges(tmp_path, capsys):
     assert main(call) == 0
     assert "position_noise_m" in capsys.readouterr().out
     assert "position_noise_m" in out.read_text()
+    assert s2r.export("datasets/pool/ranges.json", "isaaclab").text == out.read_text()
+    message(lambda: s2r.export("datasets/pool/ranges.json", "mujoco"), "to", "'mujoco'", "newton")
 
 
 def test_refused(model, capsys):

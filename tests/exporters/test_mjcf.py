@@ -66,7 +66,7 @@ def test_a_servo_in_ones_own_robot(model, tmp_path):
     robot = mujoco.MjModel.from_xml_path(str(out))
     assert robot.actuator("head_servo").id == 0
     assert robot.actuator_ctrlrange[0] == pytest.approx(np.radians([-60, 60]))
-    _, _, (predicted, there) = into_robot(file, ["pan"], out, model)
+    predicted, there = into_robot(file, out, ["pan"], model).errors["steps"]
     assert there.steps == predicted.steps > 5
     assert there.rise_s == pytest.approx(predicted.rise_s, abs=0.002)
     assert there.overshoot == pytest.approx(predicted.overshoot, abs=0.01)
@@ -117,5 +117,5 @@ def test_rise_overshoot_and_error_of_a_step():
 def test_robots_that_cannot_have_it(joint, robot, expected, tmp_path):
     (tmp_path / "robot.xml").write_text(robot)
     with pytest.raises(InputError, match=expected):
-        into_robot(tmp_path / "robot.xml", [joint], tmp_path / "out.xml", servo())
+        into_robot(tmp_path / "robot.xml", tmp_path / "out.xml", [joint], servo())
     assert [path.name for path in tmp_path.iterdir()] == ["robot.xml"]

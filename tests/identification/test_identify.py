@@ -20,6 +20,7 @@ from sim2real.servo.prediction import replay
 
 DATA = Path(__file__).parents[2] / "datasets" / "servo_steps"
 NAMES = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
+GAINS = list(NAMES[:2])
 
 
 def record(servo, command=None, *, seed=0, loads=True, name="steps", t=None, noise=0.0015):
@@ -76,6 +77,25 @@ def test_same_seed_same_model(fitted):
     assert identified(record(SERVO)) == fitted.joints["j1"]
 
 
+def test_residuals_and_covariance_are_those_of_the_fit(shipped, tmp_path):
+    _, model = shipped
+    write_model(model, tmp_path / "model.json")
+    again = read_model(tmp_path / "model.json")
+    assert again == model and again.residuals is None
+    table = model.to_dataframe()
+    for name, joint in model.joints.items():
+        of_joint = model.residuals[model.residuals["joint"] == name]
+        assert set(of_joint["recording"]) == {"steps", "square", "sine", "chirp"}
+        rms = np.sqrt((of_joint["residual_rad"] ** 2).mean())
+        assert rms == pytest.approx(model.fit[f"{name}.position_rad"]["train"])
+        (kp, both), (_, kd) = again.covariance[name].loc[GAINS, GAINS].to_numpy()
+        assert both / np.sqrt(kp * kd) == pytest.approx(joint.correlation[", ".join(GAINS)])
+        row = table.loc[name, GAINS[0]]
+        assert row["value"] == joint.kp_Nm_per_rad
+        assert (row["high"] - row["low"]) / row["standard_error"] == pytest.approx(3.3, rel=0.05)
+        assert row["standard_error"] == pytest.approx(np.sqrt(kp))
+
+
 def test_held_out_samples_touch_the_model_but_not_the_fit_that_is_scored(fitted):
     recording = record(SERVO)
     spoiled = recording.position.copy()
@@ -121,6 +141,7 @@ def test_slow_motion_leaves_directions_open_and_says_so():
     low, high = joint.interval["kp_Nm_per_rad"]
     assert low < 2.2 < high
     assert high > 20 * low
+    assert np.isinf(joint.standard_error["kp_Nm_per_rad"]) == np.isinf(high)
 
 
 def pendulum(extra):

@@ -87,6 +87,7 @@ def results(recording, tmp_path):
     swim = replace(recording, columns={n: recording.t for n in ("body.x_m", "body.y_m")})
     return {
         "model": (model, ["kp", "N m/rad", "2.25 to 2.75", EVIL]),
+        "joint": (replace(joint, notes=(EVIL,)), ["kp", "N m/rad", "2.25 to 2.75"]),
         "diagnosis": (diagnosis, []),
         "density": (density, [EVIL, "0.750", "1.250"]),
         "posterior": (posterior_of(EVIL), [EVIL, "0.0200", "0.0100 to 0.0300", "1.62"]),
