@@ -47,7 +47,7 @@ SWIM = "--task near --episodes 1 --robot fish.toml --model calibrated.json"
 ENTRY = "--as me --type x --source x --licence MIT --date 2026-01-31 --supply 7.4 --firmware-gain 1"
 SHORT = "--steps 12 --walkers 12 --no-page"
 OPEN = "--diagnosis diagnosis.json --contexts contexts.toml"
-EXPORTS = ("mujoco", "mjlab", "isaaclab", "newton", "genesis", "urdf", "json")
+EXPORTS = ("mujoco", "mjlab", "isaaclab", "newton", "genesis", "urdf", "casadi", "json")
 RANDOM = ("isaaclab", "mjlab", "newton", "mujoco-playground")
 TABLE = "--columns t=time pan.command=goal pan.position=angle --units deg --time-unit ms"
 COMMANDS: dict[str, float] = {

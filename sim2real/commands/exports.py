@@ -60,7 +60,15 @@ def _written(
     agreement: Sequence[Agreement] = (),
 ) -> int:
     """Write the text; print what it lacks, the errors of refits, and differences of the tool."""
-    write_whole(options.out, export.text)
+    beside = {options.out.with_suffix(ending): text for ending, text in export.beside.items()}
+    if options.out in beside:
+        raise InputError(
+            options.out, "--out", options.out.suffix, "another ending: it names the C code"
+        )
+    for path in beside:
+        check_writable(path)
+    for path, text in {options.out: export.text, **beside}.items():
+        write_whole(path, text)
     refits, compared = (nearest.refits, nearest.compared) if nearest else ((), ())
     options.result = {
         "file": str(options.out),
@@ -69,7 +77,7 @@ def _written(
         "compared": [asdict(entry) for entry in compared],
         "agreement": [asdict(entry) for entry in agreement],
     }
-    print(f"{options.out}: for {options.to}")
+    print(f"{', '.join(map(str, (options.out, *beside)))}: for {options.to}")
     if export.left_out:
         print("not expressed there (the file says so too):")
         sys.stdout.writelines(f"  {line}\n" for line in export.left_out)

@@ -28,7 +28,7 @@ commands CSV: commands: a CSV with t_s and J.command_rad
 """
 _EXPORT_SERVO = """
 model MODEL: identified servos (MODEL.json)
---to mujoco|mjlab|isaaclab|newton|genesis|urdf|json!: simulator or format to write for
+--to mujoco|mjlab|isaaclab|newton|genesis|urdf|casadi|json!: simulator or format to write for
 --out FILE!: file to write
 --robot TOML: the robot, for joint limits and data sheets (robot.toml)
 --recordings RECORDING+: recordings to refit to if the simulator lacks an effect of the model, and

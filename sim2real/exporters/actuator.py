@@ -178,6 +178,7 @@ class Export:
 
     text: str
     left_out: tuple[LeftOut, ...]
+    beside: Mapping[str, str] = field(default_factory=dict)  # further texts by ending of their file
 
 
 def actuators(model: Model, robot: Robot | None = None) -> tuple[Actuator, ...]:
