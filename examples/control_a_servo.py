@@ -19,7 +19,7 @@ import numpy as np
 import sim2real as s2r
 from sim2real.cli import main
 from sim2real.example import BENCH
-from sim2real.model import FittedEffect
+from sim2real.model import FittedEffect, JointModel
 from sim2real.servo.prediction import predict
 
 NOISE_RAD, PERIOD_S, HORIZON = 0.001, 0.02, 15
@@ -41,10 +41,10 @@ def only_first(recording: s2r.Recording) -> s2r.Recording:
 
 robot, rng = s2r.read_robot(BENCH / "robot.toml"), np.random.default_rng(0)
 recordings = [only_first(s2r.read_recording(BENCH / f"{n}.csv")) for n in ("steps", "chirp")]
-plain = s2r.identify(recordings, robot)
 friction = FittedEffect("coulomb_friction", {"torque_Nm": FRICTION_NM})
-joint = replace(plain.joints["j1"], effects=(friction,), latency_s=3 * PERIOD_S)
-true = replace(plain, joints={"j1": joint})
+line = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 5.4}
+joint = JointModel(1.4, 0.07, 3 * PERIOD_S, 0.0022, law="motor", motor=line, effects=(friction,))
+true = s2r.Model({"j1": joint})
 angles = s2r.predict(recordings, robot, true).angles
 made = [
     replace(one, position=angle + NOISE_RAD * rng.standard_normal(angle.shape), path=None)
