@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from sim2real.robot import read_robot as read_robot
     from sim2real.verbs import density as density  # type: ignore[no-redef]
     from sim2real.verbs import identify as identify
+    from sim2real.verbs import latency as latency
     from sim2real.verbs import posterior as posterior
     from sim2real.verbs import predict as predict
     from sim2real.verbs import ranges as ranges
@@ -47,6 +48,7 @@ _NAMES = {
     "sim2real.verbs": (
         "density",
         "identify",
+        "latency",
         "posterior",
         "predict",
         "ranges",

@@ -64,6 +64,7 @@ COMMANDS: dict[str, float] = {
     f"ranges a.csv {BENCH} --model model.json {SHORT} --out out.json": 3,
     f"ranges c.csv {BENCH} --model gears.json {SHORT} --out out.json": 1,
     f"ranges swim.csv {FISH} --model calibrated.json {SHORT} --out out.json": 1,
+    "latency a.csv --model model.json --out out.json": 0.5,
     f"design {BENCH} --model model.json --seconds 4 --no-page --out out.csv": 0.5,
     f"design {BENCH} {OPEN} --seconds 4 --no-page --out out.csv": 0.5,
     "density fish.toml --model calibrated.json --out out.json": 2,

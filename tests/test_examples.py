@@ -105,7 +105,7 @@ def test_the_example_is_copied_and_nothing_is_overwritten(tmp_path, capsys) -> N
 BENCH, POOL = ROOT / "datasets" / "servo_steps", ROOT / "datasets" / "pool"
 VERBS = (
     "identify", "diagnose", "calibrate", "density", "posterior", "ranges", "predict", "design",
-    "simulate", "forecast",
+    "simulate", "forecast", "latency",
 )  # fmt: skip
 
 

@@ -21,6 +21,10 @@ _RANGES = """
 --out FILE!: ranges to write (ranges.json)
 --no-page: do not write the HTML report
 """
+_LATENCY = """
+--out FILE: ranges to write (latency.json)
+--plot PNG: plot of the causes to write
+"""
 _PREDICT = """
 model MODEL: model (MODEL.json)
 commands CSV: commands: a CSV with t_s and J.command_rad
@@ -113,6 +117,11 @@ COMMANDS = commands(
             f"{_RUNS}:predict",
             [_PREDICT, VIEWS],
             "model.json chirp.csv --out predicted.csv",
+        ),
+        "latency": (
+            f"{_RUNS}:latency",
+            [verbs.latency, _LATENCY],
+            "steps.csv square.csv --out latency.json",
         ),
         "completion": (
             f"{_RUNS}:completion",
