@@ -135,8 +135,8 @@ class _SmoothServo:
             kept.append(memory)
         error = self.seen(u - place)
         v, speed = state[1], state[1]
-        depends_on_speed = any(re.match(r"motor|quadratic|.*friction", name) for name in self.p)
-        for _ in range(1 + depends_on_speed):  # its first estimate is that at the start
+        by_speed = re.compile("motor|quadratic|stribeck|load_friction")
+        for _ in range(1 + any(map(by_speed.match, self.p))):  # it is first that at the start
             angle, after = self.moved(state[0], v, speed, place, error, h)
             speed = 0.5 * (v + after)
         return self.ca.vertcat(angle, after, *kept)
