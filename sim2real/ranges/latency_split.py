@@ -49,7 +49,8 @@ class LatencySplit(NotebookDisplay):
 
     causes: tuple[Cause, ...]
     ranges: Ranges
-    model: Model  # the servos whose latency was fitted
+    by_joint_s: Mapping[str, float]  # latency of the command of each joint
+    model: Model  # the servos that it was fitted with
 
     def plot(self) -> Figure:
         """Median and interval of each cause that is seen."""
@@ -64,7 +65,11 @@ def split_latency(
 
     The range of the command's latency contains those of all models.
     """
-    command, *others = (latency_ranges(latencies(recordings, one), one) for one in models)
+    fits = [latencies(recordings, one) for one in models]
+    command, *others = map(latency_ranges, fits, models)
+    by_joint = {joint: one.latency_s for joint, one in models[0].joints.items()}
+    if fits[0] is not None:
+        by_joint = {j: fits[0].spread.centre + later for j, (later, _) in fits[0].offset.items()}
     low = min(one[0].first for one in (command, *others))
     high = max(one[0].second for one in (command, *others))
     source = command[0].source + "; the range contains that of a linear servo" * bool(others)
@@ -78,7 +83,7 @@ def split_latency(
         for cause in causes
         if cause is not fitted and np.isfinite(cause.median_s)
     ]
-    return LatencySplit(causes, Ranges(entries, provenance=origin), models[0])
+    return LatencySplit(causes, Ranges(entries, provenance=origin), by_joint, models[0])
 
 
 def _of(name: str, values: Sequence[Array], source: str) -> Cause | None:

@@ -270,8 +270,8 @@ def latency_split_section(split: LatencySplit) -> Section:
         between = f"{low} to {high}" if seen else "–"
         rows.append((cause.name, median if seen else "–", between, printable(cause.source)))
     table = Table(("cause", "median\nms", "90 % interval\nms", "from"), rows)
-    joints = split.model.joints.items()
-    servos = ", ".join(f"{printable(name)} {1e3 * one.latency_s:.1f} ms" for name, one in joints)
+    joints = split.by_joint_s.items()
+    servos = ", ".join(f"{printable(name)} {1e3 * x:.1f} ms" for name, x in joints)
     notes = []
     for name, _ in joints:
         fit = split.model.fit.get(f"{name}.position_rad", {})

@@ -36,7 +36,9 @@ def recording():
 
 def causes(recording, **changed):
     found = split_latency([replace(recording, **changed)], [MODEL], {})
-    return {cause.name: cause for cause in found.causes}, found.ranges
+    by_name = {cause.name: cause for cause in found.causes}
+    assert found.by_joint_s["j1"] == pytest.approx(by_name["command"].median_s, abs=1e-3)
+    return by_name, found.ranges
 
 
 def test_what_no_column_shows_is_in_the_command_or_bounded(recording):
