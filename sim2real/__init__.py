@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from sim2real.verbs import check as check  # type: ignore[no-redef]
     from sim2real.verbs import density as density  # type: ignore[no-redef]
     from sim2real.verbs import identify as identify
+    from sim2real.verbs import latency as latency
     from sim2real.verbs import posterior as posterior
     from sim2real.verbs import predict as predict
     from sim2real.verbs import ranges as ranges
@@ -50,6 +51,7 @@ _NAMES = {
         "check",
         "density",
         "identify",
+        "latency",
         "posterior",
         "predict",
         "ranges",

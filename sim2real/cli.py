@@ -46,6 +46,7 @@ COMMANDS = {
     "reproduce": (_LEARNING, "make the figures of the paper: curves, stages, turn, pentagram"),
     "export": (_LEARNING, "write a trained policy for NumPy, a microcontroller or ONNX"),
     "swim": (_LEARNING, "drive the robot, or a virtual one, to a target with a policy"),
+    "latency": (_SERVOS, "split the latency of a robot by its causes, with a range for each"),
     "import": (_SERVOS, "convert logs of other projects to recordings"),
     "robot": (_SERVOS, "write a robot.toml from a URDF, and list missing fields"),
     "export-servo": (_SERVOS, "export identified actuators to another simulator"),
@@ -63,7 +64,7 @@ COMMANDS = {
 """Module of options and summary of each command, in the order of the help."""
 
 _SMALL_MATRICES = (
-    "bench", "check", "identify", "design", "diagnose", "ranges", "calibrate", "demo",
+    "bench", "check", "identify", "design", "diagnose", "latency", "ranges", "calibrate", "demo",
 )  # fmt: skip
 """Commands that multiply only small matrices, between rollouts that use all cores: threads of a
 linear algebra library would occupy cores in busy waiting."""

@@ -33,6 +33,7 @@ _LIBRARIES = {
     "shtab": ("shtab", "completion"),
     "onnx": ("package onnx", "onnx"),
     "mujoco": ("MuJoCo", "mujoco"),
+    "casadi": ("CasADi", "casadi"),
     "pyarrow": ("pyarrow", "lerobot"),
     "pinocchio": ("Pinocchio", "arm"),
     "rerun": ("rerun-sdk", "view"),

@@ -88,8 +88,8 @@ def export(
 
     Args:
         source: Identified servos (MODEL.json), or ranges (ranges.json).
-        to: Simulator or format: mujoco, mjlab, isaaclab, isaaclab-bam, newton, usd, genesis, urdf
-            or json; of ranges isaaclab, mjlab, newton or mujoco-playground.
+        to: Simulator or format: mujoco, mjlab, isaaclab, isaaclab-bam, newton, usd, genesis, urdf,
+            casadi or json; of ranges isaaclab, mjlab, newton or mujoco-playground.
         out: File to write; the result has its text.
         robot: Servos only. The robot, for joint limits and data sheets (robot.toml).
         recordings: Servos only. Recordings to refit to if the simulator lacks an effect of the
@@ -142,5 +142,12 @@ def export(
             files = Path(into), Path(into if out is None else out)
             exported = into_robot(*files, names, model_of(source), read, which)
     if out is not None:
-        write_whole(out, exported.text)
+        beside = {Path(out).with_suffix(end): text for end, text in exported.beside.items()}
+        if Path(out) in beside:
+            found = f"the ending {Path(out).suffix}"
+            raise InputError(out, "", found, "another one: it is that of a file beside it")
+        for path in beside:
+            check_writable(path)
+        for path, text in {Path(out): exported.text, **beside}.items():
+            write_whole(path, text)
     return exported

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from sim2real.model import Model
     from sim2real.posterior.posteriors import Posteriors
     from sim2real.ranges.gather import Gathered
+    from sim2real.ranges.latency_split import LatencySplit
     from sim2real.recording import Recording
     from sim2real.robot import Density, Robot
     from sim2real.servo.prediction import Prediction
@@ -278,6 +279,57 @@ def predict(recordings: Recorded, robot: Robot | File | None, model: Model | Fil
         for recording in loaded:
             validate_commands(recording, description)
     return predict_recordings(loaded, model_of(model))
+
+
+def latency(
+    recordings: Recorded,
+    robot: Robot | File | None = None,
+    model: Model | File | None = None,
+    *,
+    episodes: int = 5,
+    seed: int = 0,
+) -> LatencySplit:
+    """Split the latency by its causes: command, bus, sensor, observation and inference.
+
+    No load needs to be known: a latency is a time, whatever the unit of the gains.
+
+    Args:
+        recordings: Recordings of record and swim, imported logs, or folders of LeRobot datasets.
+        robot: The robot that was recorded (robot.toml); not needed.
+        model: Its fitted servos (MODEL.json); by default they are identified, without
+            a robot by two laws: linear, and with friction and a limit of the torque.
+        episodes: Number of episodes of a LeRobot dataset to read, from the first.
+        seed: Seed of the search for a starting point.
+
+    Returns:
+        Median and 90 % interval of each cause that the recordings show, and ``ranges``, which
+        ``write_ranges`` writes.
+
+    Raises:
+        InputError: If no joint moves, or recordings and robot do not agree.
+    """
+    from sim2real.importers.lerobot import read_episodes
+    from sim2real.output import provenance
+    from sim2real.ranges.latency_split import split_latency
+    from sim2real.robot import Joint, Robot, Servo
+
+    check_whole("latency", "episodes", episodes, 1)
+    sequence = [recordings] if isinstance(recordings, str | os.PathLike) else recordings
+    if isinstance(sequence, Sequence):
+        read = (read_episodes(one, episodes) or (one,) for one in sequence)
+        sequence = [one for some in read for one in some]
+    listed = recordings_to_fit(sequence)
+    names = dict.fromkeys(joint for one in listed for joint in one.joints)
+    bare = Robot("robot", (), tuple(Joint(name, Servo("servo")) for name in names))
+    described = robot_of(robot) if robot else bare
+    if model is not None:
+        models = [model_of(model)]
+    elif robot is not None:
+        models = [identify(listed, described, seed=seed)]
+    else:
+        limited = ("coulomb_friction", "torque_saturation")
+        models = [identify(listed, bare, effects=x, seed=seed) for x in (limited, ())]
+    return split_latency(listed, models, provenance([*listed, described, *models], seed))
 
 
 def servos() -> ServoLibrary:

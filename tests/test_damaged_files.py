@@ -47,7 +47,7 @@ SWIM = "--task near --episodes 1 --robot fish.toml --model calibrated.json"
 ENTRY = "--as me --type x --source x --licence MIT --date 2026-01-31 --supply 7.4 --firmware-gain 1"
 SHORT = "--steps 12 --walkers 12 --no-page"
 OPEN = "--diagnosis diagnosis.json --contexts contexts.toml"
-EXPORTS = ("mujoco", "mjlab", "isaaclab", "newton", "genesis", "urdf", "json")
+EXPORTS = ("mujoco", "mjlab", "isaaclab", "newton", "genesis", "urdf", "casadi", "json")
 RANDOM = ("isaaclab", "mjlab", "newton", "mujoco-playground")
 TABLE = "--columns t=time pan.command=goal pan.position=angle --units deg --time-unit ms"
 COMMANDS: dict[str, float] = {
@@ -64,6 +64,7 @@ COMMANDS: dict[str, float] = {
     f"ranges a.csv {BENCH} --model model.json {SHORT} --out out.json": 3,
     f"ranges c.csv {BENCH} --model gears.json {SHORT} --out out.json": 1,
     f"ranges swim.csv {FISH} --model calibrated.json {SHORT} --out out.json": 1,
+    "latency a.csv --model model.json --out out.json": 0.5,
     f"design {BENCH} --model model.json --seconds 4 --no-page --out out.csv": 0.5,
     f"design {BENCH} {OPEN} --seconds 4 --no-page --out out.csv": 0.5,
     "density fish.toml --model calibrated.json --out out.json": 2,

@@ -26,6 +26,7 @@ EXAMPLES: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {
     "posterior_and_ranges": ({"STEPS": 700}, ("ranges.json", "latency.png"), "j1.kp"),
     "calibrate_a_body": ({"SECONDS": 8}, ("calibrated.json", "calibration.png"), "twin.thrust"),
     "swim_your_own_robot": ({}, ("fish.toml", "way.png"), "path of the head"),
+    "control_a_servo": ({"SECONDS": 0.1}, ("servo.casadi", "servo.c"), "servo: "),
     "train_with_gymnasium": ({"STEPS": 150, "FILMED": 20}, ("policy.zip", "swim.gif"), "swim.gif"),
 }
 """Parameters, files and a part of the output of each."""
@@ -104,7 +105,7 @@ def test_the_example_is_copied_and_nothing_is_overwritten(tmp_path, capsys) -> N
 BENCH, POOL = ROOT / "datasets" / "servo_steps", ROOT / "datasets" / "pool"
 VERBS = (
     "identify", "diagnose", "calibrate", "density", "posterior", "ranges", "predict", "design",
-    "simulate", "forecast", "check",
+    "simulate", "forecast", "check", "latency",
 )  # fmt: skip
 
 

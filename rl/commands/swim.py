@@ -156,7 +156,8 @@ def _recording(
 ) -> Recording:
     virtual = "Simulated by the twin, not measured: " if options.virtual else ""
     names = ("body.x_m", "body.y_m", "body.yaw_rad")
-    columns = dict(zip(names, track.pose.T, strict=True)) | {"device_t_s": track.device_t}
+    columns = dict(zip(names, track.pose.T, strict=True))
+    columns |= {"device_t_s": track.device_t, "inference_s": track.inference_s}
     inputs = [path for path in (options.policy, options.robot, options.model) if path is not None]
     return Recording(
         name=options.out.stem,

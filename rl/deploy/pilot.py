@@ -67,15 +67,17 @@ class Measurements:
 
 
 class Track(NamedTuple):
-    """Record of a swim: T set-point messages, the time of arrival and the distance to the target.
+    """Record of a swim: T set-point messages, their times and the distance to the target.
 
     Columns are the arrival of the telemetry on this computer in s, from the first, the robot's
-    clock, set-points sent in answer (T, J), measured angles (T, J) and pose (T, 3), NaN if missing.
+    clock, the time in s from the arrival until set-points were sent in answer, these (T, J),
+    measured angles (T, J) and pose (T, 3), NaN if missing.
     ``reached_s`` is from the end of rest, ``closest_m`` infinite if the swim never started.
     """
 
     t: Array
     device_t: Array
+    inference_s: Array
     command: Array
     joint: Array
     pose: Array
@@ -94,6 +96,7 @@ class Pilot:
         self._reached_s: float | None = None
         self._closest_m, self._period = math.inf, -1
         self._rows: list[tuple[float, Array, Telemetry]] = []
+        self.inference_s: list[float] = []  # of each row, from whoever sends its set-points
         self._measurements = Measurements(policy.observation_limit)
         self._controller = PolicyController(policy)
 
@@ -145,6 +148,7 @@ class Pilot:
         return Track(
             arrived - arrived[:1].sum(),
             np.array([telemetry.t_s for telemetry in news]),
+            np.array([*self.inference_s, *[math.nan] * len(news)])[: len(news)],
             np.array([sent for _, sent, _ in self._rows]).reshape(-1, J),
             np.array([telemetry.joint for telemetry in news]).reshape(-1, J),
             np.array([telemetry.pose for telemetry in news]).reshape(-1, 3),
@@ -180,6 +184,7 @@ def swim(
             if command is not None:
                 answered = time_s
                 link.send(command)
+                pilot.inference_s.append(time.monotonic() - time_s)
                 progress(max(pilot.elapsed_s, 0.0) - max(before, 0.0))
             elif time_s - answered > SILENCE_S:
                 pilot.stopped = f"no answer from the robot for {SILENCE_S:g} s"

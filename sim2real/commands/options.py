@@ -17,6 +17,10 @@ _RANGES = """
 --out FILE!: ranges to write (ranges.json)
 --no-page: do not write the HTML report
 """
+_LATENCY = """
+--out FILE: ranges to write (latency.json)
+--plot PNG: plot of the causes to write
+"""
 _PREDICT = """
 model MODEL: model (MODEL.json)
 commands CSV: commands: a CSV with t_s and J.command_rad
@@ -24,8 +28,8 @@ commands CSV: commands: a CSV with t_s and J.command_rad
 """
 _EXPORT_SERVO = """
 model MODEL: identified servos (MODEL.json)
---to mujoco|mjlab|isaaclab|isaaclab-bam|newton|usd|genesis|urdf|json!: simulator or format to
-    write for
+--to mujoco|mjlab|isaaclab|isaaclab-bam|newton|usd|genesis|urdf|casadi|json!: simulator or
+    format to write for
 --out FILE!: file to write
 --robot TOML: the robot, for joint limits and data sheets (robot.toml)
 --recordings RECORDING+: recordings to refit to if the simulator lacks an effect of the model, and
@@ -95,6 +99,11 @@ COMMANDS = commands(
             f"{_RUNS}:predict",
             [_PREDICT, VIEWS],
             "model.json chirp.csv --out predicted.csv",
+        ),
+        "latency": (
+            f"{_RUNS}:latency",
+            [verbs.latency, _LATENCY],
+            "steps.csv square.csv --out latency.json",
         ),
         "completion": (
             f"{_RUNS}:completion",

@@ -126,6 +126,20 @@ def density(options: argparse.Namespace) -> int:
     return 0
 
 
+def latency(options: argparse.Namespace) -> int:
+    """Print the causes; write their ranges and the plot if requested."""
+    from sim2real.ranges.entry import write_ranges
+
+    check_written(options)
+    found = verbs.latency(**arguments_of(verbs.latency, options))
+    if options.out is not None:
+        write_ranges(found.ranges, options.out)
+    options.result = found
+    print(found)
+    save_plot(found, options.plot)
+    return 0
+
+
 def ranges(options: argparse.Namespace) -> int:
     """Generate ranges; print them; write them, the posterior sample and a page."""
     from sim2real.posterior.posteriors import joint_sample, write_sample

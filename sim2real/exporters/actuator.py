@@ -181,6 +181,7 @@ class Export:
     left_out: tuple[LeftOut, ...]
     # of servos: ``compared`` and ``refitted`` joints, and ``agreement`` where the simulator was run
     errors: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    beside: Mapping[str, str] = field(default_factory=dict)  # further texts by ending of their file
 
     def __str__(self) -> str:
         """What is not expressed, and the errors, one line each."""

@@ -24,6 +24,8 @@ from sim2real.exporters.actuator import (
     limit_with_back_emf,
     shared_left_out,
 )
+from sim2real.exporters.casadi_function import HAS as CASADI
+from sim2real.exporters.casadi_function import casadi_c_text, casadi_text
 from sim2real.exporters.costs import Cost, costs
 from sim2real.exporters.mujoco import HAS, expressed, mujoco, xml_text
 from sim2real.exporters.mujoco_bench import Agreement, mujoco_export
@@ -81,6 +83,7 @@ class Target:
     lacks: Mapping[str, str] = field(default_factory=dict)  # why it lacks an effect, see `LACKS`
     damping: str = ""  # name of a drive's damping, if it is apart from the back-EMF
     also: Callable[[Actuator], list[LeftOut]] = _of_the_link  # what else it lacks
+    beside: Mapping[str, Text] = field(default_factory=dict)  # further files by their ending
 
     def expressed(self, joint: JointModel) -> set[str]:
         """What it expresses of one joint, with the limit of its drive."""
@@ -103,7 +106,8 @@ class Target:
                     lines.append(LeftOut(servo.joint, what.format(values[part]), why))
             lines += self.also(servo)
         lines += [*dropped, *shared_left_out(model)]
-        return Export(self.text(servos, robot, lines), tuple(lines))
+        beside = {ending: text(servos, robot, lines) for ending, text in self.beside.items()}
+        return Export(self.text(servos, robot, lines), tuple(lines), beside)
 
 
 class MuJoCo:
@@ -297,6 +301,13 @@ TARGETS: Mapping[str, Target | MuJoCo] = {
         partly={"latency": (
             "latency ({:.6g} s)", "position control has no delay; delay the set-points by this time"
         )},
+    ),
+    "casadi": Target(
+        "CasADi", casadi_text, CASADI,
+        {"latency": (
+            "latency ({:.6g} s)", "set-points are those in force; delay yours by this time"
+        )},
+        also=lambda servo: [], beside={".c": casadi_c_text},
     ),
     "urdf": Target(
         "URDF", _urdf_text, lacks={"gravity_load": f"{INERTIA_ONLY}; add the weight to your link"},

@@ -106,6 +106,16 @@ def read_lerobot(
     )
 
 
+def read_episodes(path: object, most: int) -> list[Recording]:
+    """The first episodes of a dataset whose unit does not matter, as degrees; [] of other files."""
+    if not isinstance(path, str | os.PathLike) or not is_lerobot(path):
+        return []
+    file = Path(path) / "meta" / "info.json"
+    total = int(Fields(file, "", read_json(file)).number("total_episodes", low=1))
+    degrees = Conversion({"": "deg"})
+    return [read_lerobot(path, degrees, episode=k) for k in range(min(total, most))]
+
+
 def _episode(info: Fields, episode: int | None) -> int:
     total = int(info.number("total_episodes", low=1))
     if episode is None and total > 1:

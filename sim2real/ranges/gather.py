@@ -122,7 +122,7 @@ def gather(
     fits = latencies(recordings, model)
     density = normalised_density(robot) if robot.weighed else None
     labels = labelled(recordings)
-    entries = _latency_ranges(fits, model)
+    entries = latency_ranges(fits, model)
     entries += camera_noise(recordings)
     noise = {joint: joint_noise(recordings, joint) for joint in model.joints}
     entries += [noise_range for noise_range in noise.values() if noise_range is not None]
@@ -184,7 +184,7 @@ def sample_joints(
     return posteriors, checks
 
 
-def _latency_ranges(fits: Latencies | None, model: Model) -> list[Range]:
+def latency_ranges(fits: Latencies | None, model: Model) -> list[Range]:
     """The latency of all joints, and offsets of single joints if they differ significantly."""
     if fits is None:
         ends = [

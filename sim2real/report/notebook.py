@@ -15,13 +15,20 @@ from sim2real.model import JointModel, Model
 from sim2real.posterior.posteriors import Posteriors
 from sim2real.ranges.entry import Ranges
 from sim2real.ranges.gather import Gathered
+from sim2real.ranges.latency_split import LatencySplit
 from sim2real.recording import Recording
 from sim2real.report.design_plot import design_section, rivals_section
 from sim2real.report.diagnosis import effect_tables
 from sim2real.report.identification import joint_blocks, model_blocks
 from sim2real.report.page import Note, Section, Table, render_fragment
 from sim2real.report.quantity import milliradians, printable
-from sim2real.report.ranges import density_section, gathered_blocks, posterior_table, range_blocks
+from sim2real.report.ranges import (
+    density_section,
+    gathered_blocks,
+    latency_split_section,
+    posterior_table,
+    range_blocks,
+)
 from sim2real.report.recordings import check_section, recording_section
 from sim2real.report.servo_table import servos_section
 from sim2real.report.text import section_text
@@ -51,6 +58,7 @@ def result_section(result: object) -> Section:
 result_section.register(Check)(check_section)
 result_section.register(Density)(density_section)
 result_section.register(Design)(lambda design: design_section(design, plots=False))
+result_section.register(LatencySplit)(latency_split_section)
 result_section.register(Recording)(recording_section)
 result_section.register(RivalDesign)(rivals_section)
 result_section.register(ServoLibrary)(lambda library: servos_section(list(library)))

@@ -14,6 +14,7 @@ from sim2real.posterior.servo import ServoPosterior
 from sim2real.ranges.entry import Ranges
 from sim2real.ranges.gather import Gathered
 from sim2real.ranges.latency import Latencies
+from sim2real.ranges.latency_split import Cause, LatencySplit
 from sim2real.ranges.population import TypeParameter
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Figure, Note, Section, Table, Text
@@ -253,6 +254,47 @@ def density_figure(density: Density) -> Drawing:
         axes.set_title("normalised density; dashed: whole robot")
         axes.set_xlabel("from the nose, m")
         axes.set_ylim(0, 1.15 * float(density.value.max()))
+    return figure
+
+
+_BIASED = 3.0
+"""Error of a fit over the noise above which its latency may be biased."""
+
+
+def latency_split_section(split: LatencySplit) -> Section:
+    """A row for each cause, and the latency of each servo."""
+    rows = []
+    for cause in split.causes:
+        low, median, high = (f"{1e3 * x:.1f}" for x in (cause.low_s, cause.median_s, cause.high_s))
+        seen = np.isfinite(cause.median_s)
+        between = f"{low} to {high}" if seen else "–"
+        rows.append((cause.name, median if seen else "–", between, printable(cause.source)))
+    table = Table(("cause", "median\nms", "90 % interval\nms", "from"), rows)
+    joints = split.by_joint_s.items()
+    servos = ", ".join(f"{printable(name)} {1e3 * x:.1f} ms" for name, x in joints)
+    notes = []
+    for name, _ in joints:
+        fit = split.model.fit.get(f"{name}.position_rad", {})
+        error, noise = fit.get("heldout") or fit.get("train") or 0.0, fit.get("noise") or np.inf
+        if error > _BIASED * noise:
+            text = f"{name}: the fit is {1e3 * error:.1f} mrad off, {error / noise:.0f} times the "
+            text += "noise: its latency may be biased (a robot with data sheets adds limits)"
+            notes.append(Note("warn", printable(text)))
+    return Section("Latency", "", [table, Note("info", f"command by joint: {servos}"), *notes])
+
+
+def latency_split_figure(causes: Sequence[Cause]) -> Drawing:
+    """Plot the median and interval of each cause that is seen."""
+    with house_style():
+        figure = new_figure(180, "latency by cause")
+        axes, seen = figure.subplots(), [one for one in causes if np.isfinite(one.median_s)]
+        for number, one in enumerate(seen):
+            axes.plot([1e3 * one.low_s, 1e3 * one.high_s], [number] * 2, color=ACCENT, linewidth=6)
+            axes.plot(1e3 * one.median_s, number, "o", color=INK, markersize=4)
+        axes.set_yticks(range(len(seen)), [one.name for one in seen])
+        axes.set_ylim(len(seen) - 0.5, -0.5)
+        axes.set_xlim(0.0, 1.05e3 * max(one.high_s for one in seen))
+        axes.set_title("latency, ms: median and 90 % interval")
     return figure
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
+import casadi as ca
 import exported
 import numpy as np
 import pytest
@@ -228,6 +229,8 @@ def test_a_name_stays_a_name(target):
         exec(compile(code, "exported.py", "exec"), {})
     elif target == "json":
         assert name in json.loads(text)["joints"]
+    elif target == "casadi":
+        assert ca.StringDeserializer(text).unpack().name() == "servo_j_1_x_raise_SystemExit"
     else:
         assert len(list(ElementTree.fromstring(text).iter("joint"))) >= 2
 

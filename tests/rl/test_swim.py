@@ -189,6 +189,8 @@ class TestCommand:
         recording = read_recording(out)
         assert (recording.kind, recording.joints, recording.medium) == ("pool", JOINTS, "water")
         device = recording.columns["device_t_s"]
+        answered = recording.columns["inference_s"]
+        assert (answered[:-1] > 0).all() and np.nanmax(answered) < 1
         assert np.ptp(device) == pytest.approx(REST_S + 1.0, abs=0.15)
         steps = np.round(np.diff(device) / CONTROL_S)
         assert np.median(steps) == 1, "a robot at 50 Hz is answered at 50 Hz"
