@@ -224,6 +224,7 @@ def ranges(
     from sim2real.output import provenance
     from sim2real.posterior.chain import chain_file
     from sim2real.ranges.gather import Gathered, Sampling, gather
+    from sim2real.ranges.population import by_unit
     from sim2real.ranges.population import population as of_population
 
     _check_sampling("ranges", steps, walkers, seed, interval)
@@ -231,7 +232,7 @@ def ranges(
         if recordings or robot is not None or model is not None:
             found = "--population with recordings, --robot or --model"
             raise InputError("ranges", "", found, "either models of several units or one robot")
-        units, files = zip(*_by_unit(population), strict=True)
+        units, files = zip(*by_unit(population), strict=True)
         models = [*zip(units, map(model_of, files), strict=True)]
         drawn, parameters = of_population(models, interval)
         drawn = replace(drawn, provenance=provenance(files, seed))
@@ -308,27 +309,20 @@ def latency(
     Raises:
         InputError: If no joint moves, or recordings and robot do not agree.
     """
-    from sim2real.importers.lerobot import read_episodes
+    from sim2real.importers.lerobot import with_episodes
     from sim2real.output import provenance
-    from sim2real.ranges.latency_split import split_latency
-    from sim2real.robot import Joint, Robot, Servo
+    from sim2real.ranges.latency_split import split_latency, unknown_robot
 
     check_whole("latency", "episodes", episodes, 1)
-    sequence = [recordings] if isinstance(recordings, str | os.PathLike) else recordings
-    if isinstance(sequence, Sequence):
-        read = (read_episodes(one, episodes) or (one,) for one in sequence)
-        sequence = [one for some in read for one in some]
-    listed = recordings_to_fit(sequence)
-    names = dict.fromkeys(joint for one in listed for joint in one.joints)
-    bare = Robot("robot", (), tuple(Joint(name, Servo("servo")) for name in names))
-    described = robot_of(robot) if robot else bare
+    listed = recordings_to_fit(with_episodes(recordings, episodes))
+    described = robot_of(robot) if robot else unknown_robot(listed)
     if model is not None:
         models = [model_of(model)]
     elif robot is not None:
         models = [identify(listed, described, seed=seed)]
     else:
         limited = ("coulomb_friction", "torque_saturation")
-        models = [identify(listed, bare, effects=x, seed=seed) for x in (limited, ())]
+        models = [identify(listed, described, effects=x, seed=seed) for x in (limited, ())]
     return split_latency(listed, models, provenance([*listed, described, *models], seed))
 
 
@@ -392,18 +386,6 @@ def model_of(model: Model | File) -> Model:
 
     _check_type("model", model, Model, "a model or its MODEL.json")
     return model if isinstance(model, Model) else read_model(model)
-
-
-def _by_unit(population: Sequence[str] | Models) -> list[tuple[str, Model | File]]:
-    """Every model or its file, with the name of its unit."""
-    if isinstance(population, Mapping):
-        return [(unit, model) for unit, models in population.items() for model in models]
-    named: list[tuple[str, Model | File]] = []
-    for number, given in enumerate(population):
-        unit, equals, file = str(given).partition("=") if isinstance(given, str) else ("", "", "")
-        name = Path(given).stem if isinstance(given, str | os.PathLike) else f"unit {number + 1}"
-        named.append((unit, file) if equals else (name, given))
-    return named
 
 
 def _check_type(argument: str, value: object, kind: type, expected: str) -> None:

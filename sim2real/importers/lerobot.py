@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -106,7 +107,15 @@ def read_lerobot(
     )
 
 
-def read_episodes(path: object, most: int) -> list[Recording]:
+def with_episodes(recordings: Any, most: int) -> Any:  # noqa: ANN401 - whatever was given
+    """Recordings or their files with the first episodes of each dataset in its place."""
+    given = [recordings] if isinstance(recordings, str | os.PathLike) else recordings
+    if not isinstance(given, Sequence):
+        return given
+    return [one for some in given for one in _episodes(some, most) or (some,)]
+
+
+def _episodes(path: object, most: int) -> list[Recording]:
     """The first episodes of a dataset whose unit does not matter, as degrees; [] of other files."""
     if not isinstance(path, str | os.PathLike) or not is_lerobot(path):
         return []

@@ -22,6 +22,7 @@ from sim2real.ranges.entry import Ranges, uniform
 from sim2real.ranges.gather import latency_ranges
 from sim2real.ranges.latency import latencies
 from sim2real.recording import Recording
+from sim2real.robot import Joint, Robot, Servo
 from sim2real.servo.trace import context_of
 
 if TYPE_CHECKING:
@@ -56,6 +57,12 @@ class LatencySplit(NotebookDisplay):
         """Median and interval of each cause that is seen."""
         figure: Figure = from_report("ranges.latency_split_figure")(self.causes)
         return figure
+
+
+def unknown_robot(recordings: Sequence[Recording]) -> Robot:
+    """A robot with the joints of recordings and no data sheets."""
+    names = dict.fromkeys(joint for one in recordings for joint in one.joints)
+    return Robot("robot", (), tuple(Joint(name, Servo("servo")) for name in names))
 
 
 def split_latency(

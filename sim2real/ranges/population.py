@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtri
@@ -194,3 +197,15 @@ def _notes(models: Sequence[tuple[str, Model]], gain: float | None) -> tuple[str
         unknown = "; models that state none are taken to be at it" if None in gains else ""
         notes.append(f"kp is that of the firmware gain {gain:g} and in proportion to it{unknown}")
     return tuple(notes)
+
+
+def by_unit(population: Sequence[Any] | Mapping[str, Sequence[Any]]) -> list[tuple[str, Any]]:
+    """Every model or its file (a list may have ``UNIT=FILE``), with the name of its unit."""
+    if isinstance(population, Mapping):
+        return [(unit, model) for unit, models in population.items() for model in models]
+    named: list[tuple[str, Any]] = []
+    for number, given in enumerate(population):
+        unit, equals, file = str(given).partition("=") if isinstance(given, str) else ("", "", "")
+        name = Path(given).stem if isinstance(given, str | os.PathLike) else f"unit {number + 1}"
+        named.append((unit, file) if equals else (name, given))
+    return named
