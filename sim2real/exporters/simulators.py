@@ -107,7 +107,7 @@ class Target:
             lines += self.also(servo)
         lines += [*dropped, *shared_left_out(model)]
         beside = {ending: text(servos, robot, lines) for ending, text in self.beside.items()}
-        return Export(self.text(servos, robot, lines), tuple(lines), beside)
+        return Export(self.text(servos, robot, lines), tuple(lines), beside=beside)
 
 
 class MuJoCo:
