@@ -9,13 +9,13 @@ nothing, a parameter that is set anew, or an effect. Prints how often the right 
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.harness import command_line
 from sim2real.diagnose.change import what_changed
 from sim2real.diagnose.references import law_of
 from sim2real.model import FittedEffect, JointModel
@@ -91,10 +91,8 @@ def bench(seed: int) -> tuple[str, list[Trace], list[Trace]]:
 
 def main() -> None:
     """Run the seeds, and count."""
-    ask = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    ask.add_argument("--seeds", default="0:40", help="first and last but one, FIRST:END")
-    ask.add_argument("--rows", type=Path)
-    given = ask.parse_args()
+    seeds = ("0:40", "first and last but one, FIRST:END")
+    given = command_line(__doc__, seeds=seeds, rows=Path).parse_args()
     first, end = (int(x) for x in given.seeds.split(":"))
     rows = []
     for seed in range(first, end):
