@@ -111,8 +111,12 @@ def neutral(hull: Hull, cell: float, units: Units, *, flat: bool) -> Masses:
 
 
 def prescribed(
-    fluid: Fluid, hull: Hull, start: Array, units: Units = LATTICE, **more: Any
-) -> Bodies:  # noqa: ANN401
+    fluid: Fluid,
+    hull: Hull,
+    start: Array,
+    units: Units = LATTICE,
+    **more: Any,  # noqa: ANN401
+) -> Bodies:
     """Bodies whose motion is prescribed, so that their masses do not matter, at a place."""
     links = hull.length.size
     light = Masses(np.ones(links), np.ones(links), np.zeros(links))
