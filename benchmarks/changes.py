@@ -76,9 +76,7 @@ def bench(seed: int) -> tuple[str, list[Trace], list[Trace]]:
             own[kind] *= ratio
         elif changed and kind in EFFECTS:
             effects.append(FittedEffect(kind, EFFECTS[kind]))
-        joint = JointModel(
-            own["kp"], own["kd"], own["latency"], now.inertia_kgm2, effects=tuple(effects)
-        )
+        joint = JointModel(*own.values(), now.inertia_kgm2, effects=tuple(effects))
         t = period * np.arange(800)
         u = command(t, 1000 * seed + sent)
         angle = rollout(joint_row(joint, now)[None], t, u)[0] + rng.normal(0, noise, t.size)
