@@ -174,51 +174,38 @@ def genesis(models: Sequence[Model], times: Array, commands: Array, _: Any) -> A
     return sampled(times, grid, seen)
 
 
-def newton(models: Sequence[Model], times: Array, commands: Array, _: Any) -> Array:  # noqa: ANN401
-    """Every servo is a joint of one model, which Newton's solver of MuJoCo simulates."""
+def newton(models: Sequence[Model], times: Array, commands: Array, options: Any) -> Array:  # noqa: ANN401
+    """Every servo is a joint of one model, which Newton's solver of MuJoCo simulates.
+
+    For ``usd``, Newton reads joints and actuators from one file.
+    """
     import newton
     import warp as wp
     from newton.solvers import SolverMuJoCo
 
     builder = newton.ModelBuilder(gravity=(0.0, 0.0, 0.0))
     SolverMuJoCo.register_custom_attributes(builder)
-    joints = {f"servo{k}": model.joints["j1"] for k, model in enumerate(models)}
-    for name, joint in joints.items():
-        load = joint.inertia_kgm2
-        link = builder.add_link(mass=0.1, inertia=wp.mat33(load, 0, 0, 0, load, 0, 0, 0, load))
-        hinge = builder.add_joint_revolute(parent=-1, child=link, axis=newton.Axis.Y, label=name)
-        builder.add_articulation([hinge])
-    made_by("newton", Model(joints))["add_actuators"](builder, STEP_S)
-    return run_newton(builder, times, commands)
-
-
-def usd(models: Sequence[Model], times: Array, commands: Array, _: Any) -> Array:  # noqa: ANN401
-    """The same of the joints and actuators of one USD file, which Newton reads."""
-    import newton
-    from newton.solvers import SolverMuJoCo
-
-    builder = newton.ModelBuilder(gravity=(0.0, 0.0, 0.0))
-    SolverMuJoCo.register_custom_attributes(builder)
     joints = {f"servo{k:03}": model.joints["j1"] for k, model in enumerate(models)}
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "bench.usda"
-        path.write_text(TARGETS["usd"].write(Model(joints)).text)
-        read = builder.add_usd(str(path))
-    assert read["actuator_count"] == len(models)
-    return run_newton(builder, times, commands)
-
-
-def run_newton(builder: Any, times: Array, commands: Array) -> Array:  # noqa: ANN401
-    """Angles of the joints of a builder on their set-points."""
-    from newton.solvers import SolverMuJoCo
-
+    if options.simulator == "usd":
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "bench.usda"
+            path.write_text(TARGETS["usd"].write(Model(joints)).text)
+            assert builder.add_usd(str(path))["actuator_count"] == len(models)
+    else:
+        for name, joint in joints.items():
+            load = joint.inertia_kgm2
+            link = builder.add_link(mass=0.1, inertia=wp.mat33(load, 0, 0, 0, load, 0, 0, 0, load))
+            axis = newton.Axis.Y
+            hinge = builder.add_joint_revolute(parent=-1, child=link, axis=axis, label=name)
+            builder.add_articulation([hinge])
+        made_by("newton", Model(joints))["add_actuators"](builder, STEP_S)
     model = builder.finalize(device="cpu")
     physics = {"use_mujoco_cpu": True, "integrator": "implicitfast", "disable_contacts": True}
     solver = SolverMuJoCo(model, **physics)
     state, after, control = model.state(), model.state(), model.control()
     memories = [(actuator.state(), actuator.state()) for actuator in model.actuators]
     grid, rows = held(times, STEP_S)
-    seen = [np.zeros(commands.shape[1])]
+    seen = [np.zeros(len(models))]
     for k in tqdm(rows, disable=None):
         control.joint_target_q.assign(commands[k].astype(np.float32))
         control.joint_f.zero_()
@@ -309,7 +296,7 @@ SIMULATORS: Mapping[str, tuple[Simulate, Callable[[], dict[str, Model]]]] = {
     "mujoco": (mujoco, with_effects),
     "mjlab": (mjlab, parts),
     "newton": (newton, parts),
-    "usd": (usd, parts),
+    "usd": (newton, parts),
     "genesis": (genesis, parts),
     "isaaclab": (isaaclab, without_friction),
 }

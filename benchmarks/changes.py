@@ -9,13 +9,13 @@ nothing, a parameter that is set anew, or an effect. Prints how often the right 
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.harness import command_line
 from sim2real.diagnose.change import what_changed
 from sim2real.diagnose.references import law_of
 from sim2real.model import FittedEffect, JointModel
@@ -76,9 +76,7 @@ def bench(seed: int) -> tuple[str, list[Trace], list[Trace]]:
             own[kind] *= ratio
         elif changed and kind in EFFECTS:
             effects.append(FittedEffect(kind, EFFECTS[kind]))
-        joint = JointModel(
-            own["kp"], own["kd"], own["latency"], now.inertia_kgm2, effects=tuple(effects)
-        )
+        joint = JointModel(*own.values(), now.inertia_kgm2, effects=tuple(effects))
         t = period * np.arange(800)
         u = command(t, 1000 * seed + sent)
         angle = rollout(joint_row(joint, now)[None], t, u)[0] + rng.normal(0, noise, t.size)
@@ -91,10 +89,8 @@ def bench(seed: int) -> tuple[str, list[Trace], list[Trace]]:
 
 def main() -> None:
     """Run the seeds, and count."""
-    ask = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    ask.add_argument("--seeds", default="0:40", help="first and last but one, FIRST:END")
-    ask.add_argument("--rows", type=Path)
-    given = ask.parse_args()
+    seeds = ("0:40", "first and last but one, FIRST:END")
+    given = command_line(__doc__, seeds=seeds, rows=Path).parse_args()
     first, end = (int(x) for x in given.seeds.split(":"))
     rows = []
     for seed in range(first, end):

@@ -17,8 +17,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from unittest import mock
 
@@ -53,8 +51,9 @@ def main() -> None:
             additions = seconds_per_ten_million_additions(1)
             words = [f"A = {additions:.3f} s"]
             for what, every in spent.items():
-                before = processor_s()
-                seconds = timed(partial(work, what, case))
+                before, start = processor_s(), time.perf_counter()
+                work(what, case)
+                seconds = time.perf_counter() - start
                 every.append((seconds, seconds / additions))
                 times = f"{seconds:.2f} s ({processor_s() - before:.2f} s of processors)"
                 words.append(f"{what} {times} = {seconds / additions:.1f} A")
@@ -85,13 +84,6 @@ def draw(folder: Path, kind: str, count: int, seed: int) -> list[Path]:
             case = foreign_cases.draw_case(plant, what, name, np.random.default_rng([seed, k]))
             write_case(case, f"bench_{k + 1:02d}", folder)
     return sorted((folder / "inputs").iterdir())
-
-
-def timed(work: Callable[[], object]) -> float:
-    """Wall time of some work, s."""
-    start = time.perf_counter()
-    work()
-    return time.perf_counter() - start
 
 
 def processor_s() -> float:

@@ -128,6 +128,12 @@ def concealed(rng: np.random.Generator) -> tuple[Any, dict[str, list[float]]]:
     return Truth("reality", effects, *rows), {k: x.tolist() for k, x in bench.items()}
 
 
+def servos_of(names: Sequence[str], *values: Sequence[float]) -> Model:
+    """Servos with these kp, kd and latencies."""
+    rows = zip(names, *values, strict=True)
+    return Model({name: JointModel(*row, 0.002) for name, *row in rows})
+
+
 def swim_group(options: argparse.Namespace, g: int) -> None:
     """The known swims and the trials of one group of realities, which share their water."""
     from camera import filmed, reported  # type: ignore[import-not-found]
@@ -155,9 +161,7 @@ def swim_group(options: argparse.Namespace, g: int) -> None:
         folder = options.out / "inputs" / f"{g:02d}-{r:02d}"
         if lost[r]:
             continue
-        rows = zip(*(benches[r][n] for n in ("kp", "kd", "latency")), strict=True)
-        servos = {n: JointModel(*row, 0.002) for n, row in zip(names, rows, strict=True)}
-        write_model(Model(servos), folder / "bench.json")
+        write_model(servos_of(names, *benches[r].values()), folder / "bench.json")
         _write_known(folder, names, command[:, r], np.array(pose)[:, r], np.array(angle)[:, r])
     # the same starts for all policies, and four more of the first policy
     task, T = task_of(options.seconds), options.trials
@@ -229,17 +233,11 @@ def twin_group(options: argparse.Namespace, g: int) -> None:
     for r in range(R):
         truth, bench = concealed(rng)
         inside = _of_library(truth.effects, names)
-        servos, known = (
-            {
-                n: JointModel(*row, 0.002)
-                for n, row in zip(names, zip(*rows, strict=True), strict=True)
-            }
-            for rows in ((truth.kp, truth.kd, truth.latency), bench.values())
-        )
-        models.append(with_values(with_density(Model(servos), robot), {**water, **inside}))
+        servos = servos_of(names, truth.kp, truth.kd, truth.latency)
+        models.append(with_values(with_density(servos, robot), {**water, **inside}))
         effects.append(inside)
         folder = options.out / "inputs" / f"{g:02d}-{r:02d}"
-        write_model(Model(known), folder / "bench.json")
+        write_model(servos_of(names, *bench.values()), folder / "bench.json")
         command = command_of(rng, J, CONTROL_S, options.known_s)
         start = np.array([*rng.uniform(-0.5, 0.5, 2), rng.uniform(-3, 3)])
         track = by_twin(robot)([models[-1]], command, start)[0]

@@ -55,19 +55,8 @@ Cases = list[tuple[dict[str, Any], dict[str, Any]]]
 
 def measures(cases: list[tuple[dict[str, Any], Decided]]) -> dict[str, float]:
     """The grader's measures of (answer, decision) pairs."""
-    counts: dict[str, list[float]] = {
-        k: []
-        for k in (
-            "false_alarm",
-            "flagged_null",
-            "detection",
-            "group_first",
-            "both",
-            "abstains",
-            "wrong",
-            "further",
-        )
-    }
+    names = "false_alarm", "flagged_null", "detection", "group_first", "both"
+    counts: dict[str, list[float]] = {k: [] for k in (*names, "abstains", "wrong", "further")}
     stated: list[tuple[float, bool]] = []
     for truth, decision in cases:
         hidden = _hidden(truth)

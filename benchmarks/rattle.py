@@ -13,14 +13,13 @@ gears with play and without friction the ratio, and the rattle's size relative t
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import spread
+from benchmarks.harness import command_line, spread
 from sim2real.diagnose.rattle import rattle
 from sim2real.identification.identify import identify
 from sim2real.recording import read_recording
@@ -47,9 +46,8 @@ def examined(job: tuple[Path, dict[str, Any]]) -> dict[str, Any]:
 
 def main() -> None:
     """Fit all cases, print both lists."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = command_line(__doc__, processes=2)
     parser.add_argument("sets", nargs="+", type=Path, metavar="SET")
-    parser.add_argument("--processes", type=int, default=2)
     options = parser.parse_args()
     jobs = [
         (folder, answer)

@@ -68,10 +68,8 @@ def residuals(model: Model, recording: Recording, kp_ratio: float = 1.0) -> Arra
     (joint,) = recording.joints
     servo = model.joints[joint]
     scaled = replace(servo, kp_Nm_per_rad=kp_ratio * servo.kp_Nm_per_rad)
-    sent = {joint: recording.command[:, 0]}
-    angle = predict(replace(model, joints={joint: scaled}), recording.t, sent, recording.loads)[
-        joint
-    ]
+    model, sent = replace(model, joints={joint: scaled}), {joint: recording.command[:, 0]}
+    angle = predict(model, recording.t, sent, recording.loads)[joint]
     left: Array = (angle - recording.position[:, 0])[: recording.powered(0)]
     return left[np.isfinite(left)]
 

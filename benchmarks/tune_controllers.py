@@ -195,8 +195,7 @@ def search(
 
     ``first`` joins in; the population is drawn about ``known``, or anywhere where None.
     """
-    kind, build = KINDS[name]
-    bounds = BOUNDS[kind]
+    bounds = BOUNDS[KINDS[name][0]]
     box: Any = [*bounds.values()]
     size = 4 * len(bounds)
     rng = np.random.default_rng(seed)
@@ -204,7 +203,7 @@ def search(
     trials = _trials(size, seed)
 
     def objective(x: Array) -> Any:  # noqa: ANN401 - vectorized: (P, C) in, (C,) out
-        turn, star = (_total(t, build, kind, x.T, price) for t in trials)
+        turn, star = (cost(t, built(name, np.tile(x.T, (t.n_starts, 1))), price) for t in trials)
         return turn + star / 6
 
     with tqdm(total=generations, desc=f"{name} at {price}", disable=None) as bar:
@@ -242,12 +241,11 @@ def _trials(copies: int, seed: int) -> tuple[Trial, Trial]:
     return turn, trial("pentagram", 2, copies, seed + 1)
 
 
-def _total(
-    trial: Trial, build: Callable[..., Controller], kind: type, gains: Array, price: float
-) -> Array:
-    every = np.tile(gains, (trial.n_starts, 1))
-    columns = dict(zip((one.name for one in fields(kind)), every.T, strict=True))
-    return cost(trial, build(LIMITS, len(every), kind(**columns)), price)
+def built(name: str, gains: Array) -> Controller:
+    """The controller of E robots, each with a row of gains (E, G)."""
+    kind, build = KINDS[name]
+    columns = dict(zip((one.name for one in fields(kind)), gains.T, strict=True))
+    return build(LIMITS, len(gains), kind(**columns))
 
 
 def searched(options: argparse.Namespace) -> None:
@@ -299,11 +297,9 @@ def swum(gains: dict[Any, Array], options: argparse.Namespace, seed: int) -> dic
     drawn = draws_of(MODEL, read_ranges(POOL / "ranges.json"), ROBOT, seed=seed, n=S)
     own = [Draws((model,), drawn.noise) for model in drawn.models]
     controllers, price = [], []
-    for kind, (form, build) in KINDS.items():
+    for kind in KINDS:
         rows = np.concatenate([gains[kind, pace] for pace in PRICES])
-        columns = np.repeat(rows, S, axis=0).T
-        named = dict(zip((one.name for one in fields(form)), columns, strict=True))
-        controllers.append(build(LIMITS, columns.shape[1], form(**named)))
+        controllers.append(built(kind, np.repeat(rows, S, axis=0)))
         price.append(np.repeat([*PRICES.values()], C * S))
     starts = IN_TRIALS.place(np.random.default_rng(seed), S, len(LIMITS))
     n = len(SEARCHES) * C

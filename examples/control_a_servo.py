@@ -33,23 +33,17 @@ out.mkdir(parents=True, exist_ok=True)
 
 
 # %%
-def only_first(recording: s2r.Recording) -> s2r.Recording:
-    """Ten seconds of the first joint alone."""
-    one = recording.between(0, 500)
-    return replace(one, joints=("j1",), command=one.command[:, :1], position=one.position[:, :1])
-
-
-robot, rng = s2r.read_robot(BENCH / "robot.toml"), np.random.default_rng(0)
-recordings = [only_first(s2r.read_recording(BENCH / f"{n}.csv")) for n in ("steps", "chirp")]
 friction = FittedEffect("coulomb_friction", {"torque_Nm": FRICTION_NM})
 line = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 5.4}
 joint = JointModel(1.4, 0.07, 3 * PERIOD_S, 0.0022, law="motor", motor=line, effects=(friction,))
 true = s2r.Model({"j1": joint})
-angles = s2r.predict(recordings, robot, true).angles
-made = [
-    replace(one, position=angle + NOISE_RAD * rng.standard_normal(angle.shape), path=None)
-    for one, angle in zip(recordings, angles, strict=True)
-]
+robot, made, rng = s2r.read_robot(BENCH / "robot.toml"), [], np.random.default_rng(0)
+for name in ("steps", "chirp"):  # ten seconds of the first joint alone
+    sent = s2r.read_recording(BENCH / f"{name}.csv").between(0, 500)
+    one = replace(sent, joints=("j1",), command=sent.command[:, :1], path=None)
+    angle = predict(true, one.t, {"j1": one.command[:, 0]})["j1"]
+    seen = angle + NOISE_RAD * rng.standard_normal(angle.size)
+    made.append(replace(one, position=seen[:, None]))
 models = {
     "true": true,
     "plain": s2r.identify(made, robot, law="pd"),
@@ -135,6 +129,4 @@ for name, (_, reached) in runs.items():
 for name, (sent, reached) in runs.items():
     before = np.r_[t[0] - PERIOD_S, t], {"j1": np.r_[0.0, sent]}  # at rest
     apart = predict(true, *before)["j1"][1:] - reached
-    print(
-        f"{name}: predict is at most {1e3 * np.abs(apart).max():.2f} mrad from the angles reached"
-    )
+    print(f"{name}: at most {1e3 * np.abs(apart).max():.2f} mrad from the angles reached")

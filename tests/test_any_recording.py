@@ -93,17 +93,9 @@ def recordings(draw: st.DrawFn) -> Recording:
 
 
 def swum(bench: Recording) -> Recording:
-    return replace(
-        bench,
-        kind="pool",
-        medium="water",
-        loads={},
-        columns={
-            "body.x_m": 0.05 * bench.t,
-            "body.y_m": np.where(np.arange(bench.t.size) % 9, 0.0, np.nan),
-            "body.yaw_rad": bench.position[:, 0],
-        },
-    )
+    y = np.where(np.arange(bench.t.size) % 9, 0.0, np.nan)
+    columns = {"body.x_m": 0.05 * bench.t, "body.y_m": y, "body.yaw_rad": bench.position[:, 0]}
+    return replace(bench, kind="pool", medium="water", loads={}, columns=columns)
 
 
 def check(bench: Recording, folder: Path) -> object:
@@ -142,20 +134,15 @@ def calibrate(bench: Recording, folder: Path) -> object:
     return str(found)
 
 
+CHAIN, SWIM = {"steps": 10, "walkers": 16}, (SWIMMER, SERVO)
 # So many examples that all verbs together take half a minute.
 VERBS: dict[str, tuple[int, Callable[[Recording, Path], object]]] = {
     "check": (40, check),
     "identify": (20, identify),
     "predict": (40, predict),
-    "posterior": (
-        20,
-        lambda bench, _: str(s2r.posterior(bench, BENCH, SERVO, steps=10, walkers=16)),
-    ),
+    "posterior": (20, lambda bench, _: str(s2r.posterior(bench, BENCH, SERVO, **CHAIN))),
     "ranges": (8, ranges),
-    "simulate": (
-        20,
-        lambda bench, _: str(s2r.simulate(swum(bench), SWIMMER, SERVO, fidelity="twin")),
-    ),
+    "simulate": (20, lambda bench, _: str(s2r.simulate(swum(bench), *SWIM, fidelity="twin"))),
     "calibrate": (3, calibrate),
     "diagnose": (4, lambda bench, folder: diagnosed(bench, folder, BENCH)),
     "diagnose a swim": (2, lambda bench, folder: diagnosed(swum(bench), folder, SWIMMER, SERVO)),

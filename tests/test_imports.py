@@ -129,13 +129,8 @@ def test_imports_of_the_packages() -> None:
 def test_the_inference_knows_neither_servo_nor_swim() -> None:
     own = [i for i in repository_imports() if i.file.startswith("sim2real/inference/")]
     assert own
-    known = (
-        "sim2real.arrays",
-        "sim2real.inference",
-        "sim2real.errors",
-        "sim2real.progress",
-        "sim2real.units",
-    )
+    names = "arrays", "inference", "errors", "progress", "units"
+    known = tuple(f"sim2real.{name}" for name in names)
     above = [i for i in own if i.package in FLOORS and not i.module.startswith(known)]
     assert above == []
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from good_input import SIDECAR
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -89,15 +90,9 @@ def example(tmp_path: Path, **change: Any) -> Recording:
         "0.05, , 0.11, 0.3, 0.02,\n"
         "0.06, , 0.12, 0.3, 0.2, 7.2\n"
     )
-    sidecar = {
-        "schema": "sim2real.recording/1",
-        "kind": "servo",
-        "joints": ["j1", "j2"],
-        "loads": {"j1": {"inertia_kgm2": 0.002}, "j2": {"inertia_kgm2": 1, "pendulum_mass_kg": 2}},
-        "source": "a bench",
-        "firmware": 3,
-    }
-    path.with_suffix(".json").write_text(json.dumps(sidecar | change))
+    loads = SIDECAR["loads"] | {"j2": {"inertia_kgm2": 1, "pendulum_mass_kg": 2}}
+    about = {"joints": ["j1", "j2"], "loads": loads, "source": "a bench", "firmware": 3}
+    path.with_suffix(".json").write_text(json.dumps(SIDECAR | about | change))
     return read_recording(path)
 
 

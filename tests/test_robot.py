@@ -233,14 +233,11 @@ def test_uncertainty_is_that_of_weighing_again(weighed):
     rng = np.random.default_rng(0)
     values = []
     for _ in range(4000):
-        links = [
-            replace(
-                x,
-                mass_kg=x.mass_kg + (x.mass_sd_kg or 0) * rng.standard_normal(),
-                length_m=x.length_m + (x.length_sd_m or 0) * rng.standard_normal(),
-            )
-            for x in robot.links
-        ]
+        links = []
+        for x in robot.links:
+            mass = x.mass_kg + (x.mass_sd_kg or 0) * rng.standard_normal()
+            length = x.length_m + (x.length_sd_m or 0) * rng.standard_normal()
+            links.append(replace(x, mass_kg=mass, length_m=length))
         values.append(normalised_density(replace(robot, links=tuple(links))).value)
     np.testing.assert_allclose(normalised_density(robot).sd, np.std(values, axis=0), rtol=0.06)
 

@@ -157,10 +157,8 @@ def shake(
     hull = chain(np.full(joints + 1, (_LENGTH_M - r[0] - r[-1]) / (joints + 1)), r)
     units = Units(_CELL_M, CONTROL_S / _SUBSTEPS, 0.1)
     more = {"viscosity": LEAST_VISCOSITY, "smagorinsky": SMAGORINSKY}
-    fluid, masses = (
-        where.fluid(D2Q9, _BOX, boxes=3, **more),
-        neutral(hull, _CELL_M, units, flat=True),
-    )
+    fluid = where.fluid(D2Q9, _BOX, boxes=3, **more)
+    masses = neutral(hull, _CELL_M, units, flat=True)
     limits, rows = np.tile([-0.9, 0.9], (joints, 1)), servos(joints, KP, KD)
     bodies = Bodies(fluid, hull, masses, units, servos=rows, limits=limits)
     start = np.zeros((3, 3 + joints))

@@ -117,20 +117,19 @@ def _case(
         takes |= {name: takes[name].rounded() for name in fine}
     if disorder:
         takes["a"] = gaps(takes["a"], rng)
-    answer = {
-        "tier": "T2",
-        "kind": kind,
-        "trap": "clock" if kind == "trap" else "",
-        "clock_disturbed": disorder,
-        "model_given": "none",
-        "effects": effects,
-        "windows_s": windows,
-        "driver": effects[0]["driver"] if effects else "none",
-        "background": untouched,
-        "heldout_background": heldout,
-        "oracle": {},
-    }
-    return takes, answer
+    about = {"trap": "clock" if kind == "trap" else "", "clock_disturbed": disorder}
+    about |= {"windows_s": windows, "heldout_background": heldout}
+    return takes, answer_of("T2", kind, effects, untouched, about)
+
+
+def answer_of(
+    tier: str, kind: str, effects: list[Any], background: dict[str, str], more: dict[str, Any]
+) -> dict[str, Any]:
+    """An answer about logs by name; ``more`` is what is not as in most answers."""
+    driver = effects[0]["driver"] if effects else "none"
+    told = {"tier": tier, "kind": kind, "trap": "", "clock_disturbed": False, "model_given": "none"}
+    told |= {"effects": effects, "windows_s": {}, "driver": driver, "background": background}
+    return told | more | {"oracle": {}}
 
 
 def _starts_gently(log: Log) -> bool:

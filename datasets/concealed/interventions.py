@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 from backgrounds import Array, Log, Rng
+from injections import answer_of
 from real_effects import Parameters
 
 GRAVITY_M_S2 = 9.80665
@@ -142,19 +143,6 @@ def _truth(
     changed: Parameters | None = None,
 ) -> Parameters:
     """An answer of T3."""
-    return {
-        "tier": "T3",
-        "kind": kind,
-        "trap": "",
-        "clock_disturbed": False,
-        "model_given": "none",
-        "effects": list(effects),
-        "windows_s": {},
-        "driver": effects[0]["driver"] if effects else "none",
-        "background": {name: take.name for name, take in takes.items()},
-        "intervention": intervention,
-        "note": note,
-        "changed": changed,
-        "exclusive": True,
-        "oracle": {},
-    }
+    background = {name: take.name for name, take in takes.items()}
+    more = {"intervention": intervention, "note": note, "changed": changed, "exclusive": True}
+    return answer_of("T3", kind, [*effects], background, more)

@@ -61,18 +61,12 @@ CAN = {
         "gravity_load", "unmodelled_inertia", "cogging", "thermal_derating", "supply_droop",
     ),
     "own": tuple(EFFECTS),
-    "gears": (
-        *_COMMON, "coulomb_friction", "backlash", "compliance", "gravity_load",
-        "unmodelled_inertia", "torque_saturation", "quadratic_drag", "deadband",
-        "integral_action", "cogging",
-    ),
 }  # fmt: skip
 """Effects of the catalogue that each plant can have."""
 BACKLASH_WITH_FRICTION = {
     "mujoco": ("backlash_motor_friction", "backlash_output_friction"),
     "voltage": (),
     "own": ("backlash_motor_friction",),
-    "gears": ("backlash_motor_friction", "backlash_output_friction"),
 }
 """Single backlashes on benches whose servos have dry friction on the motor's or the output's side.
 
@@ -83,13 +77,10 @@ OUTSIDE = {
     "voltage": ("external_push", "vibration", "end_stop", "gain_schedule", "potentiometer",
                 "stuck_sensor", "jam", "brown_out"),
     "own": tuple(OUTSIDERS),
-    "gears": ("external_push", "vibration", "end_stop", "gain_schedule", "potentiometer",
-              "stuck_sensor", "jam"),
 }  # fmt: skip
-
-
 for _of_plant in (CAN, BACKLASH_WITH_FRICTION, OUTSIDE):
-    _of_plant[HOBBY] = _of_plant["gears"]
+    _of_plant.update(dict.fromkeys(GEARED, _of_plant["mujoco"]))
+OUTSIDE |= dict.fromkeys(GEARED, (*OUTSIDE["mujoco"], "jam"))
 RATTLING = "backlash_rattling"
 """Single backlashes without friction, of loads without weight and damping by the output's speed."""
 BACKLASH_WITH_FRICTION[HOBBY] += (RATTLING,)

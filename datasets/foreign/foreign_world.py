@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from bus import Packets
+from foreign_servos import SLOW_LOOP_HZ
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 from sensor import noise, quantize, stick
@@ -25,6 +26,31 @@ SENSED = (
     "potentiometer", "stuck_sensor",
 )  # fmt: skip
 SHARED = ("supply", "link")
+FIELDS_OF = {  # effect: field of a plant by parameter
+    "coulomb_friction": {"dry": "torque_Nm"},
+    "stribeck_friction": {
+        "dry": "torque_Nm",
+        "breakaway": "breakaway_Nm",
+        "slow": "velocity_rad_s",
+    },
+    "asymmetric_friction": {"dry": "torque_Nm", "asymmetric": "asymmetry"},
+    "load_friction": {"of_load": "ratio"},
+    "quadratic_drag": {"drag": "coefficient_Nms2"},
+    "deadband": {"dead": "halfwidth_rad"},
+    "torque_saturation": {"limit": "limit_Nm"},
+    "torque_asymmetry": {"lopsided": "asymmetry"},
+    "integral_action": {"integral": "ki_Nm_per_rad_s"},
+    "gravity_load": {"weight": "torque_Nm"},
+    "cogging": {"cog": "torque_Nm", "cog_period": "period_rad", "cog_phase": "phase_rad"},
+    "thermal_derating": {"heat_loss": "loss", "heat_ref": "_reference_A2"},
+    "supply_droop": {"droop": "loss_per_min"},
+    "external_push": {"push": "push_Nm"},
+    "jam": {"jam": "jam_Nm"},
+    "vibration": {"shake": "shake_Nm", "shake_Hz": "shake_Hz", "shake_phase": "shake_phase"},
+    "end_stop": {"stop": "stop_rad", "stop_side": "stop_side", "stop_k": "stop_Nm_per_rad"},
+    "gain_schedule": {"schedule": "schedule_rad", "schedule_by": "schedule_factor"},
+    "backlash": {"gap": "gap_rad"},
+}
 
 
 @dataclass(frozen=True)
@@ -81,6 +107,29 @@ def held(arrival: Array, setpoint: Array, times: Array) -> Array:
     """The set-point in force at each time; the first before any has arrived."""
     k = np.searchsorted(arrival, times + 1e-9, side="right") - 1
     return np.asarray(setpoint[np.maximum(k, 0)])
+
+
+def fields_of(acting: Acting) -> dict[str, float]:
+    """Fields of a plant that effects set."""
+    fields: dict[str, float] = {}
+    for effect, parameters in acting.items():
+        for name, parameter in FIELDS_OF.get(effect, {}).items():
+            fields[name] = parameters[parameter]
+    return fields
+
+
+def marched(
+    march: Callable[..., Array], row: Array, step_s: float, loop_Hz: float, grid: Array,
+    arrivals: Array, setpoints: Array, windows: Sequence[Window],
+) -> Array:  # fmt: skip
+    """Angles in rad at the times ``grid`` (T,) of a plant with these fields, in steps."""
+    times = np.arange(int(np.ceil(grid[-1] / step_s)) + 1) * step_s
+    inside = np.zeros(times.size)
+    for a, b in windows:
+        inside[(times >= a) & (times < b)] = 1.0
+    turn = max(1, round(1 / (loop_Hz * step_s)))
+    angle = march(row, held(arrivals, setpoints, times), inside, turn, loop_Hz < SLOW_LOOP_HZ)
+    return np.interp(grid, times, angle)
 
 
 def _shaped(arrival: Array, setpoint: Array, acting: Acting) -> tuple[Array, Array]:

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 from bench import Load
-from foreign_servos import SLOW_LOOP_HZ, ForeignServo
-from foreign_world import Acting, held
+from foreign_servos import ForeignServo
+from foreign_world import Acting, fields_of, marched
 from numba import njit
 from numpy.typing import NDArray
 
@@ -31,20 +31,6 @@ FIELDS = {  # with the value at which each does nothing
     "shake": 0.0, "shake_Hz": 1.0, "shake_phase": 0.0, "stop": 1e9, "stop_side": 1.0, "stop_k": 0.0,
     "schedule": 1e9, "schedule_by": 1.0,
 }  # fmt: skip
-_FROM = {  # effect: field by parameter
-    "quadratic_drag": {"drag": "coefficient_Nms2"},
-    "deadband": {"dead": "halfwidth_rad"},
-    "torque_saturation": {"limit": "limit_Nm"},
-    "integral_action": {"integral": "ki_Nm_per_rad_s"},
-    "gravity_load": {"weight": "torque_Nm"},
-    "cogging": {"cog": "torque_Nm", "cog_period": "period_rad", "cog_phase": "phase_rad"},
-    "external_push": {"push": "push_Nm"},
-    "jam": {"jam": "jam_Nm"},
-    "vibration": {"shake": "shake_Nm", "shake_Hz": "shake_Hz", "shake_phase": "shake_phase"},
-    "end_stop": {"stop": "stop_rad", "stop_side": "stop_side", "stop_k": "stop_Nm_per_rad"},
-    "gain_schedule": {"schedule": "schedule_rad", "schedule_by": "schedule_factor"},
-    "backlash": {"gap": "gap_rad"},
-}
 
 
 def simulate(
@@ -68,9 +54,7 @@ def simulate(
         "on_output": float(servo.sensor_on_output or "backlash" in acting),
         "control_on_output": float(servo.control_on_output),
     }  # fmt: skip
-    for effect, parameters in acting.items():
-        for name, parameter in _FROM.get(effect, {}).items():
-            values[name] = parameters[parameter]
+    values |= fields_of(acting)
     if "unmodelled_inertia" in acting:
         output += acting["unmodelled_inertia"]["inertia_kgm2"]
     side = "dry_output" if servo.friction_on_output else "dry_rotor"
@@ -82,16 +66,8 @@ def simulate(
         spring, ratio = 1 / acting["compliance"]["compliance_rad_per_Nm"], SPRING_DAMPING
     values |= {"rotor": rotor, "output": output, "spring": spring}
     values["damper"] = 2 * ratio * np.sqrt(spring * together)
-    steps = int(np.ceil(grid[-1] / STEP_S)) + 1
-    times = np.arange(steps) * STEP_S
-    inside = np.zeros(steps)
-    for a, b in windows:
-        inside[(times >= a) & (times < b)] = 1.0
-    turn = max(1, round(1 / (servo.loop_Hz * STEP_S)))
     row = np.array([values[name] for name in FIELDS])
-    target = held(arrivals, setpoints, times)
-    angle = _march(row, target, inside, turn, servo.loop_Hz < SLOW_LOOP_HZ)
-    return np.interp(grid, times, angle)
+    return marched(_march, row, STEP_S, servo.loop_Hz, grid, arrivals, setpoints, windows)
 
 
 (KP, KD, FIRMWARE_KD, STALL, ROTOR, OUTPUT, PENDULUM, RIPPLE, WAVES, PHASE, GAP, SPRING, DAMPER,

@@ -14,8 +14,6 @@ from world import MOST_WINDOWS, World
 
 Array = NDArray[np.float64]
 
-LINK = ("latency_jitter", "packet_loss", "clock_drift")
-
 
 def simulate_all(
     servos: list[ForeignServo],

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 from bench import Load
-from foreign_servos import SLOW_LOOP_HZ, ForeignServo
-from foreign_world import Acting, held
+from foreign_servos import ForeignServo
+from foreign_world import Acting, fields_of, marched
 from numba import njit
 from numpy.typing import NDArray
 
@@ -27,31 +27,6 @@ FIELDS = {  # with the value at which each does nothing
     "shake_phase": 0.0, "stop": 1e9, "stop_side": 1.0, "stop_k": 0.0,
     "schedule": 1e9, "schedule_by": 1.0,
 }  # fmt: skip
-_PLACE = {name: k for k, name in enumerate(FIELDS)}
-_FROM = {  # effect: field by parameter
-    "coulomb_friction": {"dry": "torque_Nm"},
-    "stribeck_friction": {
-        "dry": "torque_Nm",
-        "breakaway": "breakaway_Nm",
-        "slow": "velocity_rad_s",
-    },
-    "asymmetric_friction": {"dry": "torque_Nm", "asymmetric": "asymmetry"},
-    "load_friction": {"of_load": "ratio"},
-    "quadratic_drag": {"drag": "coefficient_Nms2"},
-    "deadband": {"dead": "halfwidth_rad"},
-    "torque_saturation": {"limit": "limit_Nm"},
-    "torque_asymmetry": {"lopsided": "asymmetry"},
-    "integral_action": {"integral": "ki_Nm_per_rad_s"},
-    "gravity_load": {"weight": "torque_Nm"},
-    "cogging": {"cog": "torque_Nm", "cog_period": "period_rad", "cog_phase": "phase_rad"},
-    "thermal_derating": {"heat_loss": "loss", "heat_ref": "_reference_A2"},
-    "supply_droop": {"droop": "loss_per_min"},
-    "external_push": {"push": "push_Nm"},
-    "jam": {"jam": "jam_Nm"},
-    "vibration": {"shake": "shake_Nm", "shake_Hz": "shake_Hz", "shake_phase": "shake_phase"},
-    "end_stop": {"stop": "stop_rad", "stop_side": "stop_side", "stop_k": "stop_Nm_per_rad"},
-    "gain_schedule": {"schedule": "schedule_rad", "schedule_by": "schedule_factor"},
-}
 
 
 def simulate(
@@ -70,25 +45,15 @@ def simulate(
         "pendulum": load.gravity_Nm, "ripple": servo.nuisances["ripple_Nm"],
         "waves": servo.nuisances["ripple_per_rad"], "phase": servo.nuisances["ripple_phase"],
     }  # fmt: skip
-    for effect, parameters in acting.items():
-        for name, parameter in _FROM.get(effect, {}).items():
-            values[name] = parameters[parameter]
+    values |= fields_of(acting)
     if "unmodelled_inertia" in acting:
         values["inertia"] += acting["unmodelled_inertia"]["inertia_kgm2"]
     if "stribeck_friction" in acting:
         values["breakaway"] -= values["dry"]
     if "brown_out" in acting:
         values["off"] = 1.0
-    steps = int(np.ceil(grid[-1] / STEP_S)) + 1
-    times = np.arange(steps) * STEP_S
-    inside = np.zeros(steps)
-    for a, b in windows:
-        inside[(times >= a) & (times < b)] = 1.0
-    turn = max(1, round(1 / (servo.loop_Hz * STEP_S)))
     row = np.array([values[name] for name in FIELDS])
-    target = held(arrivals, setpoints, times)
-    angle = _march(row, target, inside, turn, servo.loop_Hz < SLOW_LOOP_HZ)
-    return np.interp(grid, times, angle)
+    return marched(_march, row, STEP_S, servo.loop_Hz, grid, arrivals, setpoints, windows)
 
 
 (KP, STALL, EMF, INERTIA, PENDULUM, RIPPLE, WAVES, PHASE, DRY, BREAKAWAY, SLOW, ASYMMETRIC, OF_LOAD,

@@ -204,11 +204,7 @@ def _round(
 
 def _tether(rng: np.random.Generator, s: float) -> dict[str, float]:
     far, angle = rng.uniform(0.3, 1.2), rng.uniform(0, 2 * np.pi)
-    return {
-        "stiffness_N_per_m": 0.12 * s,
-        "x_m": far * np.cos(angle),
-        "y_m": far * np.sin(angle),
-    }
+    return {"stiffness_N_per_m": 0.12 * s, "x_m": far * np.cos(angle), "y_m": far * np.sin(angle)}
 
 
 def _soft_skin(rng: np.random.Generator, s: float) -> dict[str, float]:

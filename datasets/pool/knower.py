@@ -93,6 +93,3 @@ def _nuisance(drawn: Drawn, model: Model, sent: Array, start: Array, t: Array) -
         np.concatenate([body_velocity(t, one[:, :3]), one[:, 3:]], axis=1) for one in track
     ])  # fmt: skip
     return np.asarray(signals[1:] - signals[0])
-
-
-__all__ = ["known_to"]

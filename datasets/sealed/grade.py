@@ -372,27 +372,19 @@ def _failures(row: Row) -> list[str]:
     """What a reader would want to know went wrong."""
     kind, seen, held = row["kind"], detectable(row), row["heldout"] or {}
     eta, sure = held.get("eta"), sure_of(row)
+    single, servos = kind == "single", row["tier"] != SWIMS
     wrong = [
         ("false alarm", kind in NULLS and any(not e["right"] for e in sure)),
         ("flagged", kind in NULLS and row["flagged"] and not sure),
         ("confidently wrong", kind not in NULLS and any(not e["right"] for e in sure)),
         ("missed", kind not in NULLS and seen and not row["flagged"]),
-        ("not first", kind == "single" and seen and row["flagged"] and not row["group_right"]),
-        (
-            "wrong component",
-            kind == "single"
-            and row["flagged"]
-            and not row["component_right"]
-            and row["tier"] != SWIMS,
-        ),
+        ("not first", single and seen and row["flagged"] and not row["group_right"]),
+        ("wrong component", single and servos and row["flagged"] and not row["component_right"]),
         ("does not abstain", kind == "outside" and row["flagged"] and not row["abstains"]),
         ("not both", kind == "double" and detectable(row, "llr_least") and not row["both"]),
         ("windows", any(x < 0.5 for x in row["iou"])),
-        ("harm", bool(held) and held["drop"] < -HARM and (kind in NULLS or row["tier"] == SWIMS)),
-        (
-            "error left",
-            kind == "single" and row["tier"] != SWIMS and seen and eta is not None and eta < 0.8,
-        ),
+        ("harm", bool(held) and held["drop"] < -HARM and (kind in NULLS or not servos)),
+        ("error left", single and servos and seen and eta is not None and eta < 0.8),
     ]
     return [name for name, failed in wrong if failed]
 

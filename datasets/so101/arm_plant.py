@@ -26,6 +26,10 @@ HOME = np.array([0.0, -0.4, 0.5, 0.2, 0.0, 0.6])
 COUNT_RAD = 2 * np.pi / 4096
 
 
+def _each(*values: float) -> Any:  # noqa: ANN401 - a field
+    return field(default_factory=lambda: np.array(values))
+
+
 @dataclass(frozen=True)
 class Physics:
     """Physics of the servos; each array has one value for each of the six joints.
@@ -43,25 +47,15 @@ class Physics:
         encoder_noise_rad: Standard deviation before quantisation.
     """
 
-    kp_Nm_per_rad: Array = field(default_factory=lambda: np.array([17.8, 20, 18.5, 16, 15, 14]))
-    stall_torque_Nm: Array = field(
-        default_factory=lambda: np.array([2.9, 3.0, 2.85, 2.95, 2.8, 2.9])
-    )
-    no_load_speed_rad_s: Array = field(
-        default_factory=lambda: np.array([5.0, 4.8, 5.1, 4.9, 5.2, 5.0])
-    )
-    viscous_Nms_per_rad: Array = field(
-        default_factory=lambda: np.array([0.05, 0.06, 0.04, 0.05, 0.03, 0.04])
-    )
-    rotor_inertia_kgm2: Array = field(
-        default_factory=lambda: np.array([0.028, 0.03, 0.027, 0.026, 0.028, 0.025])
-    )
-    latency_s: Array = field(
-        default_factory=lambda: np.array([0.014, 0.017, 0.012, 0.02, 0.016, 0.018])
-    )
-    coulomb_Nm: Array = field(default_factory=lambda: np.zeros(6))
-    gap_rad: Array = field(default_factory=lambda: np.zeros(6))
-    output_Nm: Array = field(default_factory=lambda: np.zeros(6))
+    kp_Nm_per_rad: Array = _each(17.8, 20, 18.5, 16, 15, 14)
+    stall_torque_Nm: Array = _each(2.9, 3.0, 2.85, 2.95, 2.8, 2.9)
+    no_load_speed_rad_s: Array = _each(5.0, 4.8, 5.1, 4.9, 5.2, 5.0)
+    viscous_Nms_per_rad: Array = _each(0.05, 0.06, 0.04, 0.05, 0.03, 0.04)
+    rotor_inertia_kgm2: Array = _each(0.028, 0.03, 0.027, 0.026, 0.028, 0.025)
+    latency_s: Array = _each(0.014, 0.017, 0.012, 0.02, 0.016, 0.018)
+    coulomb_Nm: Array = _each(*np.zeros(6))
+    gap_rad: Array = _each(*np.zeros(6))
+    output_Nm: Array = _each(*np.zeros(6))
     encoder_noise_rad: float = 5e-4
 
     @property

@@ -151,13 +151,8 @@ def test_bad_requests_are_one_line():
     unknown = replace(RIVALS, sets=(RIVALS.sets[0], swim_set(0.4, "tether.length", 0.1, 0.1)))
     message(lambda: design_swim(unknown, SERVOS, FISH, ASKED, **FEW), "tether.length")
     message(lambda: design_swim(RIVALS, SERVOS, FISH, Request(1.0), **FEW), "--seconds")
-    weak = replace(
-        FISH,
-        joints=tuple(
-            replace(j, servo=replace(j.servo, max_torque_Nm=1e-4, where=("robot.toml", "servos")))
-            for j in FISH.joints
-        ),
-    )
+    servo = replace(FISH.joints[0].servo, max_torque_Nm=1e-4, where=("robot.toml", "servos"))
+    weak = replace(FISH, joints=tuple(replace(joint, servo=servo) for joint in FISH.joints))
     message(lambda: design_swim(RIVALS, SERVOS, weak, ASKED, **FEW), "max_torque_Nm", "robot.toml")
 
 

@@ -40,9 +40,8 @@ def angle(t, u, arrival, kp=KP):
     for when, du in zip(np.maximum.accumulate(arrival[there]), change, strict=True):
         first = np.searchsorted(t, when)
         x = t[first : first + 100] - when
-        q[first : first + 100] += (
-            du * (1 + ((r * np.exp(p * x) - p * np.exp(r * x)) / (p - r))).real
-        )
+        swing = (r * np.exp(p * x) - p * np.exp(r * x)) / (p - r)
+        q[first : first + 100] += du * (1 + swing).real
         q[first + 100 :] += du
     return q
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import warp as wp
 
 from sim2real.exporters.ranges import TARGETS
 from sim2real.ranges.entry import Range, Ranges, normal, read_ranges, uniform
@@ -115,17 +116,8 @@ def test_mjlab_terms(modules):
     assert space["delay_lags"]("arm.j2", 0.005) == (8, 16)
 
 
-class WarpArray:
-    """A Warp array on the CPU: a copy by ``numpy``, written by ``assign``."""
-
-    def __init__(self, values):
-        self.values = np.array(values)
-
-    def numpy(self):
-        return self.values.copy()
-
-    def assign(self, values):
-        self.values = values
+def warp_array(values):
+    return wp.array(np.array(values), device="cpu")
 
 
 def test_newton_draws_into_the_right_places(modules):
@@ -134,14 +126,14 @@ def test_newton_draws_into_the_right_places(modules):
     space = modules(TARGETS["newton"].write(RANGES).text, newton={"ModelFlags": flags})
 
     def group(*dofs):
-        drive = SimpleNamespace(kp=WarpArray([9.0] * len(dofs)), kd=WarpArray([9.0] * len(dofs)))
-        return SimpleNamespace(indices=WarpArray(dofs), drive=drive)
+        drive = SimpleNamespace(kp=warp_array([9.0] * len(dofs)), kd=warp_array([9.0] * len(dofs)))
+        return SimpleNamespace(indices=warp_array(dofs), drive=drive)
 
     model = SimpleNamespace(
         joint_label=["a/j1", "a/arm.j2", "b/j1", "b/arm.j2"],
-        joint_qd_start=WarpArray([0, 1, 2, 3, 4]),
-        joint_friction=WarpArray([9.0] * 4),
-        joint_armature=WarpArray([9.0] * 4),
+        joint_qd_start=warp_array([0, 1, 2, 3, 4]),
+        joint_friction=warp_array([9.0] * 4),
+        joint_armature=warp_array([9.0] * 4),
         actuators=[group(2, 0), group(1, 3)],
     )
     told: list[int] = []
@@ -149,16 +141,16 @@ def test_newton_draws_into_the_right_places(modules):
     drawn = []
     for seed in range(200):
         space["randomize"](model, solver, np.random.default_rng(seed))
-        drawn.append(model.actuators[0].drive.kp.values)
+        drawn.append(model.actuators[0].drive.kp.numpy().copy())
     assert np.mean(drawn) == pytest.approx(2.1, abs=0.01)
     assert np.std(drawn) == pytest.approx(0.05, rel=0.2)
     assert np.corrcoef(np.array(drawn).T)[0, 1] < 0.5  # each world has its own
     second = model.actuators[1].drive
-    assert ((second.kp.values > 1.8) & (second.kp.values < 1.9)).all()
-    assert (second.kd.values == 9.0).all()  # no range of arm.j2
-    assert (model.joint_friction.values[[1, 3]] == 9.0).all()
-    assert (model.joint_friction.values[[0, 2]] < 0.1).all()
-    assert (model.joint_armature.values[[1, 3]] < 0.0021).all()
+    assert ((second.kp.numpy() > 1.8) & (second.kp.numpy() < 1.9)).all()
+    assert (second.kd.numpy() == 9.0).all()  # no range of arm.j2
+    assert (model.joint_friction.numpy()[[1, 3]] == 9.0).all()
+    assert (model.joint_friction.numpy()[[0, 2]] < 0.1).all()
+    assert (model.joint_armature.numpy()[[1, 3]] < 0.0021).all()
     assert set(told) == {2}
 
 

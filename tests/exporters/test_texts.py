@@ -5,6 +5,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 from xml.etree import ElementTree
 
 import casadi as ca
@@ -156,16 +157,10 @@ def test_no_armature_is_negative(target):
 def test_genesis(modules):
     model = servo("j1", "coulomb_friction", "unmodelled_inertia", "torque_saturation")
     space = modules(export("genesis", model).text)
-    calls = {}
-
-    class Entity:
-        def get_joint(self, name):
-            return SimpleNamespace(dofs_idx_local=[{"j1": 4, "j2": 2}[name]])
-
-        def __getattr__(self, call):
-            return lambda *given: calls.update({call: given})
-
-    assert space["set_actuators"](Entity()) == [4, 2]
+    joints = {"j1": SimpleNamespace(dofs_idx_local=[4]), "j2": SimpleNamespace(dofs_idx_local=[2])}
+    entity = MagicMock(**{"get_joint.side_effect": joints.get})
+    assert space["set_actuators"](entity) == [4, 2]
+    calls = {name: given for name, given, _ in entity.method_calls if name != "get_joint"}
     infinite = float("inf")
     assert calls == {
         "set_dofs_kp": ([2.2, 1.1], [4, 2]),
@@ -276,28 +271,19 @@ def test_a_controller_that_damps_less_than_the_line_is_listed_by_mjlab():
     assert "damping=0.05," in made.text and "viscous_damping=0," in made.text
 
 
-class Builder:
-    """The parts of ``newton.ModelBuilder`` that an exported text uses, as in release 1.8."""
-
-    def __init__(self):
-        self.joint_label = ["robot/base", "robot/j1"]
-        self.joint_qd_start, self.joint_q_start = [0, 6], [0, 7]
-        self.joint_target_ke, self.joint_target_kd = [5.0] * 7, [5.0] * 7
-        self.joint_armature, self.joint_friction = [0.0] * 7, [0.0] * 7
-        stop = ("mujoco:solreffriction", "mujoco:solimpfriction")
-        self.custom_attributes = {name: SimpleNamespace(values={}) for name in stop}
-        self.added = []
-
-    def add_actuator(self, drive_class, **given):
-        self.added.append((drive_class, given))
-
-
 def test_newton(modules):
+    """With the parts of ``newton.ModelBuilder`` that it uses, as in release 1.8."""
     text = export("newton", motor(rotor_inertia_kgm2=0.001)).text
     space = modules(text, newton__actuators=recording("DrivePD", "ClampingDCMotor"))
-    builder = Builder()
+    stop = ("mujoco:solreffriction", "mujoco:solimpfriction")
+    builder = MagicMock(
+        joint_label=["robot/base", "robot/j1"], joint_qd_start=[0, 6], joint_q_start=[0, 7],
+        joint_target_ke=[5.0] * 7, joint_target_kd=[5.0] * 7,
+        joint_armature=[0.0] * 7, joint_friction=[0.0] * 7,
+        custom_attributes={name: SimpleNamespace(values={}) for name in stop},
+    )  # fmt: skip
     space["add_actuators"](builder, 0.004)
-    ((drive, given),) = builder.added
+    (((drive,), given),) = builder.add_actuator.call_args_list
     assert drive is space["DrivePD"]
     ((clamp, line),) = given.pop("clamping")
     assert given == {

@@ -11,7 +11,6 @@ import pytest
 from virtual_bench import LIMITS, limit, limits, refused, robot_file, served
 
 from rl.deploy.link import Telemetry, telemetry_bytes
-from rl.deploy.policy import npz
 from sim2real.cli import main
 from sim2real.hardware.datagram import AHEAD, HALF, SILENCE_S, answer, read_answer, request
 from sim2real.hardware.frames import LX, Packet
@@ -19,15 +18,12 @@ from sim2real.hardware.lx import LxBus, LxCommand
 from sim2real.hardware.transport import PATIENCE, UdpTransport, open_transport
 from sim2real.hardware.virtual_link import VirtualRadio
 from sim2real.recording import read_recording
-from tests.rl.test_swim import random_policy
+from tests.rl.test_swim import policy_file
 
 JOINTS = ("j1", "j2", "j3")
 
 
-@pytest.fixture
-def policy(tmp_path):
-    (tmp_path / "policy.npz").write_bytes(npz(random_policy()))
-    return tmp_path / "policy.npz"
+policy = policy_file  # a fixture
 
 
 @pytest.fixture

@@ -109,13 +109,8 @@ def test_every_effect_of_the_model_has_a_range():
 
 
 def test_every_parameter_of_a_motor_has_a_range_or_a_line(bench):
-    motor = {
-        "stall_torque_Nm": 1.5,
-        "no_load_speed_rad_s": 8.0,
-        "coulomb_Nm": 0.02,
-        "load_friction": 1e-9,
-        "rotor_inertia_kgm2": 1e-4,
-    }
+    motor = {"stall_torque_Nm": 1.5, "no_load_speed_rad_s": 8.0, "coulomb_Nm": 0.02}
+    motor |= {"load_friction": 1e-9, "rotor_inertia_kgm2": 1e-4}
     interval = {
         "motor.stall_torque_Nm": (1.3, 1.7),
         "motor.coulomb_Nm": (0.01, 0.03),

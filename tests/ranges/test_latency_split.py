@@ -12,7 +12,6 @@ from good_input import message
 import sim2real as s2r
 from sim2real.model import JointModel, Model
 from sim2real.ranges.latency_split import split_latency
-from sim2real.recording import Recording
 from sim2real.servo.prediction import predict
 
 sys.path.append(str(Path(__file__).parents[1] / "importers"))
@@ -23,10 +22,9 @@ RNG = np.random.default_rng(2)
 def made(rate_hz):
     """Twelve seconds of steps of a servo with 60 ms of latency."""
     t = np.arange(round(12 * rate_hz)) / rate_hz
-    levels = RNG.uniform(-0.4, 0.4, 24)
-    command = np.where(t > 0.5, levels[(2 * t).astype(int)], 0.0)[:, None]
+    command = simulated.steps(t, RNG, 0.4)[:, None]
     angle = predict(MODEL, t, {"j1": command[:, 0]})["j1"] + RNG.normal(0, 1e-3, t.size)
-    return Recording("made", "servo", ("j1",), t, command, angle[:, None])
+    return simulated.one_joint(t, command[:, 0], angle, load=None, name="made")
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +85,8 @@ def test_a_dataset_without_loads(tmp_path):
     episode = [np.degrees(np.tile(x, 3)) for x in (one.position, one.command)]
     root = lerobot_files.dataset(tmp_path / "arm", "v3.0", [episode, episode])
     found = s2r.latency(root, episodes=1)
-    assert "command by joint: shoulder_pan 60." in str(found)
+    first = str(found).partition("command by joint: shoulder_pan ")[2].split()[0]
+    assert float(first) == pytest.approx(60.0, abs=0.5)
     assert found.plot().axes[0].has_data()
     assert found.causes[3].median_s == pytest.approx(0.06, abs=1e-3)
     message(lambda: s2r.latency(root, episodes=0), "episodes")

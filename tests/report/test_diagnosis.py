@@ -271,12 +271,11 @@ def test_torque_without_a_known_load_is_per_inertia():
 
 @pytest.mark.parametrize("whole", [EXPLAINED, AMBIGUOUS, UNEXPLAINED])
 def test_empty_parts_do_no_harm(whole):
+    nothing = {"parameters": {}, "heldout": {}, "baseline_shift": {}}
     empty = replace(
         whole,
         mismatch=(replace(MISMATCH, windows_s={}, where="", dependence={}),),
-        effects=tuple(
-            replace(e, parameters={}, heldout={}, baseline_shift={}) for e in whole.effects
-        ),
+        effects=tuple(replace(effect, **nothing) for effect in whole.effects),
         rivals=(),
         unknown={},
         baseline_fit=fits(j2=0.004),
@@ -286,13 +285,8 @@ def test_empty_parts_do_no_harm(whole):
     )
     unmeasured = replace(EXPLAINED.evidence[0], position=np.full(1500, np.nan))
     still = np.full(1500, 0.1)
-    resting = replace(
-        EXPLAINED.evidence[0],
-        position=still,
-        speed=0 * still,
-        torque=0 * still,
-        torque_sd=0 * still,
-    )
+    none = dict.fromkeys(("speed", "torque", "torque_sd"), 0 * still)
+    resting = replace(EXPLAINED.evidence[0], position=still, **none)
     for some in ((), (unmeasured,), (resting,)):
         render_page("a", "", [diagnosis_section(replace(empty, evidence=some))], {})
     diagnosis_section(replace(empty, mismatch=(), effects=()))
@@ -306,10 +300,7 @@ def test_effects_have_plain_names():
 
 
 def test_what_the_written_model_holds_besides_the_names_is_no_claim():
-    servo = replace(
-        next(iter(EXPLAINED.model.joints.values())),
-        effects=(FittedEffect("backlash", {"gap_rad": 0.02}),),
-    )
+    servo = joint(FittedEffect("backlash", {"gap_rad": 0.02}))
     model = replace(EXPLAINED.model, joints={**EXPLAINED.model.joints, "j2": servo})
     text, _ = said(replace(EXPLAINED, model=model))
     assert "selected for prediction and also contains backlash" in text

@@ -224,18 +224,10 @@ def test_notes_are_wrapped_and_marked_and_those_of_the_model_come_last(bench):
 
 
 def test_no_line_is_wider_than_a_terminal_and_none_ends_in_space(bench):
-    hard = {
-        "x" * 300: JointModel(
-            1.23456789e12,
-            1.2e-7,
-            0.06,
-            2e-5,
-            interval={"kp_Nm_per_rad": (1e-9, 1e15), "kd_Nms_per_rad": (1.1e-7, 1.3e-7)},
-            correlation={f"a{k}, b{k}": 0.9 for k in range(30)},
-            notes=("word " * 80,),
-        )
-    }
-    for model in (bench.model, Model(hard), Model({})):
+    interval = {"kp_Nm_per_rad": (1e-9, 1e15), "kd_Nms_per_rad": (1.1e-7, 1.3e-7)}
+    many = {"correlation": {f"a{k}, b{k}": 0.9 for k in range(30)}, "notes": ("word " * 80,)}
+    hard = JointModel(1.23456789e12, 1.2e-7, 0.06, 2e-5, interval=interval, **many)
+    for model in (bench.model, Model({"x" * 300: hard}), Model({})):
         for line in str(model).splitlines():
             assert len(line) <= WIDTH and line == line.rstrip()
 
@@ -252,13 +244,7 @@ def test_a_table_says_the_probability_of_its_intervals():
 
 
 def test_a_value_far_below_its_interval_has_the_digits_of_the_interval():
-    assert Quantity("load friction", "", 1e-9, (0.0, 0.66542), "").texts == (
-        "0.000",
-        "0.000",
-        "0.665",
-    )
-    assert Quantity("kp", "", 1.37424, (1.36861, 1.37983), "").texts == (
-        "1.3742",
-        "1.3686",
-        "1.3798",
-    )
+    friction = Quantity("load friction", "", 1e-9, (0.0, 0.66542), "")
+    assert friction.texts == ("0.000", "0.000", "0.665")
+    kp = Quantity("kp", "", 1.37424, (1.36861, 1.37983), "")
+    assert kp.texts == ("1.3742", "1.3686", "1.3798")

@@ -38,15 +38,9 @@ RANGES = Ranges(
         normal("j1.position_noise_rad", 0.0, 0.002, "rad", "", "step"),
     )
 )
-PLAN = Plan(
-    shortened(TASKS["near"], 10),
-    steps=160,
-    envs=4,
-    segment=80,
-    fidelity="twin",
-    seeds=(0, 1),
-    settings=Settings(hidden=(8, 8), memory=200, batch=8, warm_up=40, updates_per_step=0.1),
-)
+SETTINGS = Settings(hidden=(8, 8), memory=200, batch=8, warm_up=40, updates_per_step=0.1)
+SHORT = {"steps": 160, "envs": 4, "segment": 80, "fidelity": "twin", "seeds": (0, 1)}
+PLAN = Plan(shortened(TASKS["near"], 10), **SHORT, settings=SETTINGS)
 
 NAMES = ("full", "no-servo")
 

@@ -1,6 +1,8 @@
 """The batched update against Stable-Baselines3's own, on the same batches and the same noise."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -30,30 +32,19 @@ def batch_of(A: int, O: int, J: int, generator: torch.Generator, B: int = 64) ->
     return Batch(normal(A, B, O), action, normal(A, B), normal(A, B, O), done)
 
 
-class _Given:
-    """A replay buffer that gives one batch."""
-
-    def __init__(self, batch: Batch, a: int) -> None:
-        self.samples = ReplayBufferSamples(
-            batch.observation[a], batch.action[a], batch.following[a], batch.done[a][:, None],
-            batch.reward[a][:, None],
-        )  # fmt: skip
-
-    def sample(self, *_: object, **__: object) -> ReplayBufferSamples:
-        return self.samples
-
-
 def theirs(model: SAC, batches: list[Batch], noises: list, a: int, monkeypatch) -> None:
     """Stable-Baselines3's train() on given batches and noise."""
     for batch, noise in zip(batches, noises, strict=True):
-        model.replay_buffer = _Given(batch, a)
-        queue = [noise[0][a], noise[1][a]]
+        done, reward = batch.done[a][:, None], batch.reward[a][:, None]
+        given = batch.observation[a], batch.action[a], batch.following[a], done, reward
+        sample = MagicMock(return_value=ReplayBufferSamples(*given))
+        model.replay_buffer, queue = SimpleNamespace(sample=sample), [noise[0][a], noise[1][a]]
+
+        def drawn(self, *_: object, queue: list = queue) -> torch.Tensor:
+            return self.mean + self.stddev * queue.pop(0)
+
         with monkeypatch.context() as patch:
-            patch.setattr(
-                torch.distributions.Normal,
-                "rsample",
-                lambda self, *_: self.mean + self.stddev * queue.pop(0),  # noqa: B023
-            )
+            patch.setattr(torch.distributions.Normal, "rsample", drawn)
             model.train(gradient_steps=1, batch_size=64)
         assert not queue
 

@@ -31,15 +31,9 @@ from sim2real.errors import InputError
 from sim2real.ranges.entry import Ranges, normal, read_ranges, uniform
 
 POOL = Path(__file__).resolve().parents[2] / "datasets" / "pool"
-PLAN = Plan(
-    shortened(TASKS["near"], 40),
-    steps=1920,
-    envs=8,
-    segment=640,
-    seeds=(0, 1),
-    fidelity="twin",
-    settings=Settings(hidden=(16, 16), memory=400, batch=16, warm_up=320, updates_per_step=0.1),
-)
+SETTINGS = Settings(hidden=(16, 16), memory=400, batch=16, warm_up=320, updates_per_step=0.1)
+SHORT = {"steps": 1920, "envs": 8, "segment": 640, "seeds": (0, 1), "fidelity": "twin"}
+PLAN = Plan(shortened(TASKS["near"], 40), **SHORT, settings=SETTINGS)
 
 
 def arms(model):

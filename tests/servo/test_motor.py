@@ -52,11 +52,7 @@ def test_on_its_line_it_is_the_exact_solution_of_another_program(joint):
     expected = plant.simulate(servo, T, T, command)[:, 0]
     model = JointModel(
         servo.kp_Nm_per_rad, servo.kd_Nms_per_rad, servo.latency_s, servo.inertia_kgm2,
-        law="motor",
-        motor={
-            "stall_torque_Nm": servo.stall_torque_Nm,
-            "no_load_speed_rad_s": servo.no_load_speed_rad_s,
-        },
+        law="motor", motor={name: getattr(servo, name) for name in LINE},
     )  # fmt: skip
     found = rollout(joint_row(model, None)[None], T, command)[0]
     np.testing.assert_allclose(found, expected, rtol=0, atol=3e-5)
@@ -100,10 +96,8 @@ def test_loss_and_friction_are_the_equations():
         return state[1] - 1e-3
 
     stops.terminal, stops.direction = True, -1
-    until = 1.0
-    found = solve_ivp(
-        slope, (0, until), [0, 1e-9], events=stops, dense_output=True, rtol=1e-10, atol=1e-12
-    )
+    how = {"events": stops, "dense_output": True, "rtol": 1e-10, "atol": 1e-12}
+    found = solve_ivp(slope, (0, 1.0), [0, 1e-9], **how)
     t = np.arange(0.0, 0.9 * found.t[-1], 0.002)
     model = JointModel(KP, KD, 0.0, INERTIA, law="motor", motor=motor)
     command = np.where(t > 0, 1.0, 0.0)
@@ -211,20 +205,20 @@ def test_a_model_file_says_its_law_and_old_ones_mean_pd(tmp_path):
         read_model(path)
 
 
-def mujoco_joint(t, command, kp, kd, latency, inertia, friction):
+def mujoco_joint(t, command, friction):
     """A hinge of MuJoCo with friction loss, its solver's parameters by default, shape (T,)."""
     mujoco = pytest.importorskip("mujoco")
     step = 2e-4
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><option timestep="{step}" integrator="implicitfast"/><worldbody><body>'
-        f'<joint name="j" axis="0 1 0" damping="{kd}" frictionloss="{friction}"/>'
-        f'<inertial pos="0 0 0" mass="1" diaginertia="{inertia} {inertia} {inertia}"/>'
-        f'</body></worldbody><actuator><position joint="j" kp="{kp}"/></actuator></mujoco>'
+        f'<joint name="j" axis="0 1 0" damping="{KD}" frictionloss="{friction}"/>'
+        f'<inertial pos="0 0 0" mass="1" diaginertia="{INERTIA} {INERTIA} {INERTIA}"/>'
+        f'</body></worldbody><actuator><position joint="j" kp="{KP}"/></actuator></mujoco>'
     )
     data = mujoco.MjData(model)
     data.qpos[0] = command[0]
     times = np.arange(0.0, t[-1] + step, step)
-    sent = command[np.maximum(np.searchsorted(t + latency, times, side="right") - 1, 0)]
+    sent = command[np.maximum(np.searchsorted(t + LATENCY, times, side="right") - 1, 0)]
     angle = np.empty(times.size)
     for k, set_point in enumerate(sent):
         angle[k] = data.qpos[0]
@@ -243,11 +237,7 @@ def stepped(rng, t, simulated):
 
 def test_gains_of_a_mujoco_joint_come_back():
     t = np.arange(0.0, 20.0, 0.01)
-    made = stepped(
-        np.random.default_rng(3),
-        t,
-        lambda sent: mujoco_joint(t, sent, KP, KD, LATENCY, INERTIA, 0.03),
-    )
+    made = stepped(np.random.default_rng(3), t, lambda sent: mujoco_joint(t, sent, 0.03))
     model = identify([made], bench(5.0, 5.0 / KD))
     joint, figures = model.joints["j1"], model.fit["j1.position_rad"]
     assert joint.kp_Nm_per_rad == pytest.approx(KP, rel=0.02)

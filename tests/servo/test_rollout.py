@@ -1,9 +1,8 @@
-"""The servo's dynamics: accuracy, latency, batches, closed forms, and the same law in CasADi."""
+"""The servo's dynamics: accuracy, latency, batches, closed forms, another integrator."""
 
-import casadi as ca
+import integrator
 import numpy as np
 import pytest
-import symbolic
 import warp as wp
 from good_input import message
 
@@ -120,10 +119,6 @@ def test_parameters_that_no_servo_has_are_refused():
     message(lambda: predict(model, t, {"j1": square(t)}), "model, j1", "without bound", "stable")
 
 
-PARAMETERS = np.array([2.2, 0.06, 0.0683])
-LOADS = [Load(0.002), Load(0.0049, 0.49, 0.1)]
-
-
 @wp.kernel(enable_backward=False)
 def torque_of(x: wp.array2d(dtype=wp.float64), out: wp.array(dtype=wp.float64)):
     i = wp.tid()
@@ -135,10 +130,8 @@ def test_one_law():
     out = wp.zeros(50, dtype=wp.float64, device="cpu")
     given = wp.from_numpy(x, dtype=wp.float64, device="cpu")
     wp.launch(torque_of, dim=50, inputs=[given, out], device="cpu")
-    symbols = [ca.SX.sym(name) for name in ("kp", "kd", "error", "v")]
-    expression = ca.Function("torque", symbols, [symbolic.pd_torque(*symbols)])
-    expected = [float(expression(*row)) for row in x]
-    np.testing.assert_allclose(out.numpy(), expected, rtol=1e-14)
+    kp, kd, error, v = x.T
+    np.testing.assert_allclose(out.numpy(), kp * error - kd * v, rtol=1e-14)
 
 
 @pytest.fixture
@@ -149,7 +142,7 @@ def signal():
     return t, np.repeat(rng.uniform(-0.6, 0.6, 10), 30) * (t > 0.5)
 
 
-@pytest.mark.parametrize("load", LOADS)
+@pytest.mark.parametrize("load", [Load(0.002), Load(0.0049, 0.49, 0.1)])
 @pytest.mark.parametrize("sine", [False, True])
 @pytest.mark.parametrize("gains", [(2.2, 0.06), (8.0, 0.08), (2.2, 0.4)])
 def test_agrees_with_an_independent_integrator(signal, load, sine, gains):
@@ -158,21 +151,8 @@ def test_agrees_with_an_independent_integrator(signal, load, sine, gains):
     command = 0.5 * np.sin(6 * t) if sine else command
     row = np.zeros((1, len(COLUMNS)))
     row[0, :5] = [*parameters, load.inertia_kgm2, load.gravity_Nm]
-    angle, _ = symbolic.simulate(parameters, load, t, command)
+    angle = integrator.simulate(parameters, load, t, command)
     fine = rollout(row, t, command, steps_per_radian=300.0)[0]
     assert np.abs(angle - fine).max() < 1e-5
     usual = rollout(row, t, command)[0]
     assert np.abs(angle - usual).max() < 1e-4
-
-
-@pytest.mark.parametrize("load", LOADS)
-def test_derivatives_are_exact(signal, load):
-    t, command = signal
-    command = np.where(t < 0.5, 0.3, command)  # at rest off the hanging position
-    _, slopes = symbolic.simulate(PARAMETERS, load, t, command)
-    for k in range(3):
-        shift = np.zeros(3)
-        shift[k] = 1e-5 * PARAMETERS[k]
-        up, down = (symbolic.simulate(PARAMETERS + s, load, t, command)[0] for s in (shift, -shift))
-        numeric = (up - down) / (2 * shift[k])
-        assert np.abs(numeric - slopes[:, k]).max() < 1e-6 * np.abs(slopes[:, k]).max()

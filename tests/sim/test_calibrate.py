@@ -39,13 +39,8 @@ def swum(truth, seed=0, model=None, robot=FISH):
 
 
 def test_what_was_put_in_comes_out():
-    truth = {
-        "form_drag.coefficient": 1.0,
-        "added_mass.ratio": 0.3,
-        "j1.latency_s": 0.08,
-        "j2.latency_s": 0.068,
-        "j3.latency_s": 0.06,
-    }
+    truth = {"form_drag.coefficient": 1.0, "added_mass.ratio": 0.3}
+    truth |= {"j1.latency_s": 0.08, "j2.latency_s": 0.068, "j3.latency_s": 0.06}
     free = [*effect_parameters("form_drag"), *effect_parameters("added_mass")]
     free += servo_parameters(servos(), FISH)
     found = calibrate([swum(truth)], servos(), free, by_twin(FISH))

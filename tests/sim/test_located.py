@@ -51,10 +51,7 @@ def test_times_of_a_disturbance_are_told_and_of_none_there_is_none():
 def test_friction_of_a_servo_is_found_in_the_angles(monkeypatch):
     """Beside a skin that couples joints, and a servo with another gain than the model's."""
     only(monkeypatch, ("coulomb_friction", "skin_coupling"))
-    truth = {
-        "j2.coulomb_friction.torque_Nm": 0.05,
-        "j3.kd_Nms_per_rad": 0.08,
-    }
+    truth = {"j2.coulomb_friction.torque_Nm": 0.05, "j3.kd_Nms_per_rad": 0.08}
     given = [swum(truth)], servos(), FISH, by_followed_twin(FISH)
     found = diagnose_swims(*given, law_error=OF_THIS_LAW)
     (named,) = (one for one in found.effects if one.probability > 0.5)
