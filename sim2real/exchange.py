@@ -82,7 +82,7 @@ def export(
     recordings: Recorded = (),
     which: Literal["nearest", "effects", "plain"] = "nearest",
     into: File | None = None,
-    joint: Sequence[str] | str = (),
+    joint: Sequence[str] | str | None = None,
 ) -> Export:
     """Write identified servos, or randomization ranges, for another simulator.
 
@@ -130,7 +130,7 @@ def export(
         check_choice("export", "to", to, TARGETS)
         description = None if robot is None else robot_of(robot)
         read = recordings_of(recordings) if recordings else []
-        names = (joint,) if isinstance(joint, str) else tuple(joint)
+        names = (joint,) if isinstance(joint, str) else tuple(joint or ())
         if (into is not None or names) and (to != "mujoco" or into is None or not names):
             found = f"to {to}" if to != "mujoco" else "one of both"
             raise InputError("export", "into, joint", found, "both, to mujoco")

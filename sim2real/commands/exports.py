@@ -14,7 +14,7 @@ def export_servo(options: argparse.Namespace) -> int:
     """Write the model's actuators for another simulator, refitted without effects that it lacks."""
     source, recordings = read_model(options.model), options.recordings or ()
     more = {"robot": options.robot, "recordings": recordings, "which": options.which}
-    more |= {"into": options.into, "joint": options.joint or ()}
+    more |= {"into": options.into, "joint": options.joint}
     return _said(exchange.export(source, options.to, options.out, **more), options)
 
 
