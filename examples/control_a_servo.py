@@ -17,7 +17,6 @@ import casadi as ca
 import numpy as np
 
 import sim2real as s2r
-from sim2real.cli import main
 from sim2real.example import BENCH
 from sim2real.model import FittedEffect, JointModel
 from sim2real.servo.prediction import predict
@@ -60,9 +59,8 @@ models = {
 # %%
 def exported(name: str, smoothing: float) -> ca.Function:
     """The state after one period, from the state and the set-point in force."""
-    file, target = out / f"{name}.json", out / f"{name}.casadi"
-    s2r.write_model(models[name], file)
-    assert main(["export-servo", str(file), "--to", "casadi", "--out", str(target)]) == 0
+    target = out / f"{name}.casadi"
+    s2r.export(models[name], "casadi", target)
     servo = ca.Function.load(str(target))
     x, u = ca.MX.sym("x", 2), ca.MX.sym("u")
     half = {"set_point": u, "duration_s": PERIOD_S / 2, "smoothing": smoothing}  # at most 10 ms

@@ -142,12 +142,12 @@ def export(
             files = Path(into), Path(into if out is None else out)
             exported = into_robot(*files, names, model_of(source), read, which)
     if out is not None:
-        beside = {Path(out).with_suffix(end): text for end, text in exported.beside.items()}
-        if Path(out) in beside:
+        if Path(out).suffix in exported.beside:
             found = f"the ending {Path(out).suffix}"
             raise InputError(out, "", found, "another one: it is that of a file beside it")
-        for path in beside:
+        texts = exported.files(Path(out))
+        for path in texts:
             check_writable(path)
-        for path, text in {Path(out): exported.text, **beside}.items():
+        for path, text in texts.items():
             write_whole(path, text)
     return exported

@@ -78,10 +78,9 @@ class Controllers:
 
     def act(self, observation: Array32) -> Array32:
         """Actions of all robots, shape (n, J), for their observations (n, O)."""
-        acted = [(rows, c.act(observation[rows])) for c, rows in self._shares()]
-        actions = np.empty((len(observation), acted[0][1].shape[1]), dtype=np.float32)
-        for rows, action in acted:
-            actions[rows] = action
+        acted = np.concatenate([c.act(observation[rows]) for c, rows in self._shares()])
+        actions = np.empty_like(acted)
+        actions[np.argsort(self.owner, kind="stable")] = acted
         return actions
 
     def _shares(self) -> list[tuple[Controller, Mask]]:

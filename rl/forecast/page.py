@@ -28,8 +28,8 @@ def worth(sealed: Mapping[str, Any]) -> str:
     """What intervals of forecasts have been worth on sets of simulated realities."""
     parts = []
     for entry in sealed["sets"]:
-        held = [100 * entry["held"][name] for name in ("mean time_s", "mean energy")]
-        held += [100 * entry["held"][name] for name in ("next time_s", "next energy")]
+        names = ("mean time_s", "mean energy", "next time_s", "next energy")
+        held = [100 * entry["held"][name] for name in names]
         parts.append(
             "of {} {} they contained the mean time in {:.0f} %, the mean energy in {:.0f} %, the "
             "next trial's in {:.0f} and {:.0f} %".format(entry["realities"], entry["of"], *held)

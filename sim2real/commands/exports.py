@@ -28,8 +28,7 @@ def _said(export: Export, options: argparse.Namespace) -> int:
     errors = {name: [vars(one) for one in rows] for name, rows in export.errors.items()}
     left_out = [*map(str, export.left_out)]
     options.result = {"file": str(options.out), "not_expressed": left_out, **errors}
-    files = [options.out, *(options.out.with_suffix(ending) for ending in export.beside)]
-    print(f"{', '.join(map(str, files))}: for {options.to}")
+    print(f"{', '.join(map(str, export.files(options.out)))}: for {options.to}")
     if costs := str(export):
         print(costs)
     return 0

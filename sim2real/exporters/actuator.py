@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from sim2real.effects import named
@@ -182,6 +183,10 @@ class Export:
     # of servos: ``compared`` and ``refitted`` joints, and ``agreement`` where the simulator was run
     errors: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     beside: Mapping[str, str] = field(default_factory=dict)  # further texts by ending of their file
+
+    def files(self, out: Path) -> dict[Path, str]:
+        """The texts by the files that they are written to: ``out``, and those beside it."""
+        return {out: self.text} | {out.with_suffix(end): x for end, x in self.beside.items()}
 
     def __str__(self) -> str:
         """What is not expressed, and the errors, one line each."""

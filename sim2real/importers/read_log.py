@@ -49,9 +49,10 @@ LISTS = ("command_topic", "joints", "units", "columns", *LOADS)
 STATE_TOPIC = "/joint_states"
 
 
-def read_log(source: Path, out: Path | None, given: dict[str, Any]) -> Recording | Model:
+def read_log(source: Path, out: Path | None, given: Mapping[str, Any]) -> Recording | Model:
     """Read a log with the ``given`` options, and write ``out``: ``exchange.import_log``."""
-    given |= {name: [given[name]] for name in LISTS if isinstance(given.get(name), str)}
+    lists = {name: [given[name]] for name in LISTS if isinstance(given.get(name), str)}
+    given = {**given, **lists}
     if out is not None:
         check_writable(out)
     if source.suffix == ".json" and source.is_file() and is_bam_parameters(read_json(source)):

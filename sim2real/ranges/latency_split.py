@@ -73,13 +73,13 @@ def split_latency(
     The range of the command's latency contains those of all models.
     """
     fits = [latencies(recordings, one) for one in models]
-    command, *others = map(latency_ranges, fits, models)
+    found = [*map(latency_ranges, fits, models)]
+    command = found[0]
     by_joint = {joint: one.latency_s for joint, one in models[0].joints.items()}
     if fits[0] is not None:
         by_joint = {j: fits[0].spread.centre + later for j, (later, _) in fits[0].offset.items()}
-    low = min(one[0].first for one in (command, *others))
-    high = max(one[0].second for one in (command, *others))
-    source = command[0].source + "; the range contains that of a linear servo" * bool(others)
+    low, high = min(one[0].first for one in found), max(one[0].second for one in found)
+    source = command[0].source + "; the range contains that of a linear servo" * (len(found) > 1)
     why = "fitted to set-points and angles: their sum, but for what is seen apart"
     fitted = Cause("command", 0.5 * (low + high), low, high, why)
     before = _inference(recordings), _observation(recordings), _bus(recordings)
