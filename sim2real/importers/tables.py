@@ -54,7 +54,7 @@ def read_table(
     columns: Mapping[str, str],
     conversion: Conversion,
     *,
-    time_unit: str | None,
+    time_unit: str,
 ) -> Recording:
     """Read a table of text as a recording with unknown loads.
 
@@ -66,15 +66,13 @@ def read_table(
     """
     file = Path(path)
     if time_unit not in SECONDS_PER:
-        found = "nothing" if time_unit is None else repr(time_unit)
-        raise InputError("--time-unit", "", found, f"one of {', '.join(SECONDS_PER)}")
+        raise InputError("--time-unit", "", repr(time_unit), f"one of {', '.join(SECONDS_PER)}")
     table, form = _csv(file, columns)
     t = (table["t"] - table["t"][0]) * SECONDS_PER[time_unit]
     check_increasing(file, t, "row {} of the data", 1)
     joints = _joints(columns)
-    conversion.check_joints(joints)
     sent, measured = (
-        np.stack([conversion.radians(j, q, table[f"{j}.{q}"], file) for j in joints], axis=1)
+        conversion.radians(joints, q, np.stack([table[f"{j}.{q}"] for j in joints], axis=1), file)
         for q in ANGLES
     )
     measured_at = t[np.isfinite(measured).any(axis=1)]
