@@ -270,7 +270,7 @@ BACK = bag_with(lambda ros: ros.number(0), states=[of("a", ms=x) for x in (0, -2
         (BOTH, {"command_topic": ["/x", "/y"]}, "joints: found 0 joints and 2 command topics"),
         (ARRAY, {}, "joints: found none named, expected names in the order of the set-points"),
         (ARRAY, {"joints": ["a"]}, "/commands, message 0: found 2 values in data, expected one"),
-        (ARRAY, {"state_topic": COMMAND, "command_topic": [STATE]}, "found std_msgs/msg/Float64Mul"),
+        (ARRAY, {"state_topic": COMMAND, "command_topic": [STATE]}, "found std_msgs/msg/Float64Mu"),
         (bag_with(of("a")), AB, "/commands: found no angle of joint b, expected one of a"),
         (SHORT, {}, "message 0: found 1 values in position, expected one for each of a, b"),
         (FAR, AB, "/commands, message 1, b: found 90, expected a size of at most 12.6"),
