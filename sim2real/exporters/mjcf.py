@@ -176,17 +176,19 @@ class _Compiled:
     def loaded(cls, file: Path, source: Path | None = None, content: bytes = b"") -> _Compiled:
         """The file, or a content that is to be this file and was made from ``source``."""
         mj = library("mujoco", "--into")
-        folder = (source or file).parent if is_stream(file) else file.parent
+        expected = "an MJCF file that MuJoCo loads"
         try:
+            if source is None:
+                spec = mj.MjSpec.from_file(str(file))
+                return cls(spec, spec.compile())
+            expected += f", in the folder of {source} if that has further files"
+            folder = source.parent if is_stream(file) else file.parent
             with tempfile.NamedTemporaryFile(dir=folder, prefix=".", suffix=".xml") as there:
                 there.write(content)
                 there.flush()
-                spec = mj.MjSpec.from_file(str(file) if source is None else there.name)
+                spec = mj.MjSpec.from_file(there.name)
                 return cls(spec, spec.compile())
         except (ValueError, RuntimeError) as error:
-            expected = "an MJCF file that MuJoCo loads"
-            if source is not None:
-                expected += f", in the folder of {source} if that has further files"
             raise InputError(file, "", str(error).strip(), expected) from None
 
     def hinges(self) -> list[str]:

@@ -72,9 +72,8 @@ def read_lerobot(
                 raise InputError(info.file, feature, f"no {joint}", expected)
         values = frames[feature]
         if values.ndim != 2 or values.shape[1] < len(available):
-            shape = " x ".join(str(n) for n in values.shape)
-            expected = f"{len(available)} in each frame"
-            raise InputError(file, feature, f"values of shape {shape}", expected)
+            found = f"values of shape {' x '.join(map(str, values.shape))}"
+            raise InputError(file, feature, found, f"{len(available)} in each frame")
         values = values[:, [available.index(joint) for joint in chosen]]
         angles[feature] = conversion.radians(chosen, QUANTITY[feature], values, file)
         if left := [joint for joint in available if joint not in chosen]:
@@ -82,13 +81,10 @@ def read_lerobot(
     if not np.isfinite(angles[ACTION]).all():
         raise InputError(file, ACTION, "a missing value", "a set-point at every frame")
     features = info.table("features")
-    numbers = [
-        str(name)
-        for name in features.content
-        if name not in (*QUANTITY, *INDICES)
-        and str(features.table(name).content.get("dtype")).startswith("float")
-    ]
-    warnings += [f"{', '.join(numbers)}: not read."] if numbers else []
+    kinds = {str(name): features.table(name).content.get("dtype") for name in features.content}
+    others = (name for name, kind in kinds.items() if str(kind).startswith("float"))
+    if unread := ", ".join(name for name in others if name not in (*QUANTITY, *INDICES)):
+        warnings.append(f"{unread}: not read.")
     return Recording(
         name=f"{root.resolve().name}_{index}",
         kind="servo",
@@ -142,13 +138,13 @@ def _data_file(root: Path, info: Fields, episode: int) -> Path:
     elif version.startswith("v3."):
         columns = {"chunk_index": "data/chunk_index", "file_index": "data/file_index"}
         folder = root / "meta" / "episodes"
-        for file in sorted(folder.glob("*/*.parquet")):
-            table = _read(file, [*columns.values()], episode)
-            if table["data/chunk_index"].size:
-                fields = {name: int(table[column][0]) for name, column in columns.items()}
-                break
-        else:
+        tables = (
+            _read(x, [*columns.values()], episode) for x in sorted(folder.glob("*/*.parquet"))
+        )
+        table = next((one for one in tables if one["data/chunk_index"].size), None)
+        if table is None:
             raise InputError(folder, "episode_index", f"no episode {episode}", "a row for it")
+        fields = {name: int(table[column][0]) for name, column in columns.items()}
     else:
         raise info.error("codebase_version", "v2.0, v2.1 or v3.0")
     try:
