@@ -103,6 +103,11 @@ class Actuator:
         return self.value(SATURATION, "free_damping") * (self.kd + self.back_emf)
 
     @property
+    def unlimited_damping(self) -> float:
+        """Damping that a limit of the drive leaves, N m s/rad; without a limit all of it."""
+        return self.kd + self.back_emf if self.limit is None else self.back_emf
+
+    @property
     def passive_damping(self) -> float:
         """Damping of the joint in N m s/rad: that of the back-EMF, at most the whole."""
         return max(min(self.back_emf, self.kd + self.back_emf), 0.0)

@@ -196,7 +196,8 @@ def add_actuators(builder, physics_dt):
     """Actuators of a newton.ModelBuilder, to be called before finalize; physics_dt in s.
 
     With MuJoCo's solver, call SolverMuJoCo.register_custom_attributes(builder) before the robot is
-    added, so that friction stops the joints as identified: it is soft by default.
+    added, so that friction stops the joints as identified: it is soft by default. A drive acts with
+    the speed at the start of a step: half a step of damping in the armature makes it the mean.
     """
     soft = builder.custom_attributes
     for number, label in enumerate(builder.joint_label):
@@ -205,7 +206,8 @@ def add_actuators(builder, physics_dt):
             continue
         dof = builder.joint_qd_start[number]
         builder.joint_target_ke[dof] = builder.joint_target_kd[dof] = 0.0
-        builder.joint_armature[dof] = values["armature"]
+        half_step = 0.5 * physics_dt * values["unlimited_kd"]
+        builder.joint_armature[dof] = values["armature"] + half_step
         builder.joint_friction[dof] = values["friction"]
         if "mujoco:solreffriction" in soft:
             time_constant, impedance = values["stop"]
@@ -247,6 +249,7 @@ def newton_text(servos: Sequence[Actuator]) -> str:
         used |= {clamp} if limits else set()
         shown = ", ".join(f'"{name}": {value}' for name, value in limits.items())
         fields = numbers(kp=servo.kp, kd=servo.kd + servo.back_emf, latency_s=servo.latency)
+        fields |= numbers(unlimited_kd=servo.unlimited_damping)
         fields |= numbers(armature=servo.armature, friction=servo.friction)
         body = "".join(f'        "{name}": {value},\n' for name, value in fields.items())
         body += '        "stop": ({:.9g}, {:.9g}),'.format(*servo.stop())
@@ -309,7 +312,8 @@ USD_SERVO = """    def Xform "{name}_link" (
 def usd_text(servos: Sequence[Actuator], comments: str) -> str:
     """A USD file with a bench: an inertia on each joint, and a ``NewtonActuator`` that turns it.
 
-    Delays are in steps of the file's ``PhysicsScene``, of ``1 / USD_STEPS_PER_S``.
+    Delays, and half a step of damping in the armature (see ``NEWTON``), are for steps of the file's
+    ``PhysicsScene``, of ``1 / USD_STEPS_PER_S``.
     """
     text = ""
     for servo in servos:
@@ -330,7 +334,7 @@ def usd_text(servos: Sequence[Actuator], comments: str) -> str:
             attributes="".join(f"        {line}\n" for line in lines),
             **numbers(
                 inertia=servo.inertia + servo.beyond_load - servo.armature,
-                armature=servo.armature,
+                armature=servo.armature + 0.5 * servo.unlimited_damping / USD_STEPS_PER_S,
                 friction=servo.friction,
                 time_constant=stop[0],
                 impedance=stop[1],

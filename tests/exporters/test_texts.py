@@ -289,20 +289,21 @@ def test_newton(modules):
     assert clamp is space["ClampingDCMotor"]
     assert line == {"saturation_effort": 0.5, "velocity_limit": 6.25, "max_motor_effort": 1.0}
     assert builder.joint_target_ke[6] == builder.joint_target_kd[6] == 0
-    assert (builder.joint_armature[6], builder.joint_friction[6]) == (0.001, 0.04)
+    half_step = 0.5 * 0.004 * LINE["stall_torque_Nm"] / LINE["no_load_speed_rad_s"]
+    assert builder.joint_armature[6] == pytest.approx(0.001 + half_step)
+    assert builder.joint_friction[6] == 0.04
     assert builder.custom_attributes["mujoco:solreffriction"].values == {6: (0.008, 1.0)}
 
 
-def apart(joint, torque):
+def apart(joint, torque, dt=0.0002, armature=0.0):
     """RMS difference from `predict` of a shaft on two steps, with a torque of error and speed."""
-    dt = 0.0002
-    t = dt * np.arange(10_000)
+    t = np.arange(0.0, 2.0, dt)
     command = np.where(t < 0.2, 0.0, np.where(t < 1.0, 1.0, -0.8))
     angle = speed = 0.0
     seen = np.empty(t.size)
     for k, target in enumerate(command):
         seen[k] = angle
-        speed += dt * torque(target - angle, speed) / joint.inertia_kgm2
+        speed += dt * torque(target - angle, speed) / (joint.inertia_kgm2 + armature)
         angle += dt * speed
     return rms(seen - predict(Model({"j1": joint}), t, {"j1": command})["j1"])
 
@@ -322,6 +323,8 @@ def test_a_pd_drive_within_the_line_is_a_drive_that_clips_before_the_back_emf(mo
         return min(max(drive["kp"] * error - drive["kd"] * speed, least), most)
 
     assert apart(joint, torque) < 0.001
+    half_step = 0.5 * 0.002 * drive["unlimited_kd"]
+    assert apart(joint, torque, 0.002, half_step) < 0.7 * apart(joint, torque, 0.002)
 
 
 def bam(modules, model):
@@ -382,7 +385,7 @@ def test_usd():
     assert values["newton:targets"] == "</bench/left_j1>"
     shown = {name: float(x) for name, x in values.items() if name != "newton:targets"}
     assert shown == {
-        "newton:timeStepsPerSecond": 1000, "newton:armature": 0.001, "newton:friction": 0.04,
+        "newton:timeStepsPerSecond": 1000, "newton:armature": 0.00104, "newton:friction": 0.04,
         "newton:kp": 2.2, "newton:kd": 0.09, "newton:saturationEffort": 0.5,
         "newton:velocityLimit": 6.25, "newton:maxMotorEffort": 1.0, "newton:delaySteps": 50,
     }  # fmt: skip
