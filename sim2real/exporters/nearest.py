@@ -135,44 +135,30 @@ def nearest(
     torque-speed line if no motion reaches them. ``InputError`` if the model has an unknown effect.
     """
     joints, found = dict(model.joints), Nearest(model)
+    saturation = {SATURATION, BEYOND_LIMIT}
     for name, joint in model.joints.items():
         has = expressed(joint)
         lost = _lost(joint, has)
-        if not lost and not any(_replaceable(fitted.effect) for fitted in joint.effects):
+        every = lost | {e.effect for e in joint.effects if _replaceable(e.effect)}
+        if not every:
             continue
         data = fitting_data(name, joint, recordings, robot)
-        drops, still = _drops(joint, lost, data, rough, costly)
+        line = {key for key in LINE if joint.motor.get(key.removeprefix("motor."))}
+        still = {x for x in every - line if _moves(data, joint, x) < NEGLIGIBLE_RAD}
+        drops = {"as far as expressed": lost}
+        if lost & saturation and line:  # a target with one limit may have that of the current
+            drops["current limit"] = lost - saturation | line
+        drops |= {"without rough effects": lost | every & set(rough), _PLAIN: every}
+        different: dict[frozenset[str], str] = {}
+        for kind, dropped in drops.items():
+            different.setdefault(frozenset(dropped - still), kind)
+        unreached = still & set(costly) if line else set()
+        drops = {kind: drops[kind] | unreached for kind in different.values()}
         one = _Task(name, joint, data, still, SOFT[0] in has).best(drops, which, error)
         joints |= one.model.joints
-        dropped, refits = found.dropped + one.dropped, found.refits + one.refits
-        found = Nearest(model, dropped, refits, found.compared + one.compared)
+        lines, refits = found.dropped + one.dropped, found.refits + one.refits
+        found = Nearest(model, lines, refits, found.compared + one.compared)
     return replace(found, model=replace(model, joints=joints))
-
-
-def _drops(
-    joint: JointModel,
-    lost: set[str],
-    data: FittingData,
-    rough: Collection[str],
-    costly: Collection[str],
-) -> tuple[dict[str, set[str]], set[str]]:
-    """Parts that models lack, the last of them ``plain``, and those that hardly move the joint."""
-    effects = {fitted.effect for fitted in joint.effects}
-    line = {name for name in LINE if joint.motor.get(name.removeprefix("motor."))}
-    drops = {"as far as expressed": lost}
-    saturation = {SATURATION, BEYOND_LIMIT}
-    if lost & saturation and line:  # a target with one limit may have that of the current
-        drops["current limit"] = lost - saturation | line
-    if effects & set(rough):
-        drops["without rough effects"] = lost | effects & set(rough)
-    drops[_PLAIN] = lost | {effect for effect in effects if _replaceable(effect)}
-    parts = set().union(*drops.values()) - line
-    still = {part for part in parts if _moves(data, joint, part) < NEGLIGIBLE_RAD}
-    unreached = still & set(costly) if line else set()
-    different: dict[frozenset[str], str] = {}
-    for kind, dropped in drops.items():
-        different.setdefault(frozenset(dropped - still), kind)
-    return {kind: drops[kind] | unreached for kind in different.values()}, still
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from sim2real.exporters.casadi_function import HAS as CASADI
 from sim2real.exporters.casadi_function import casadi_c_text, casadi_text
 from sim2real.exporters.mujoco import HAS, expressed, mujoco, xml_text
 from sim2real.exporters.mujoco_bench import Agreement, mujoco_export
-from sim2real.exporters.nearest import Which, excitation, nearest
+from sim2real.exporters.nearest import Which, excitation, nearest, rollout_error
 from sim2real.exporters.python_texts import (
     PLAY,
     bam_text,
@@ -38,20 +38,18 @@ from sim2real.exporters.python_texts import (
     numbers,
     usd_text,
 )
-from sim2real.identification.search import errors_of
-from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel, Model
 from sim2real.output import finite_json
 from sim2real.recording import Recording
 from sim2real.robot import Robot
-from sim2real.servo.parameters import COLUMNS, LINE, SOFT, joint_row
+from sim2real.servo.parameters import SOFT
 
 FRICTION_AND_ROTOR = ("coulomb_friction", "unmodelled_inertia")
 """Effects that every target expresses."""
 STEPS = ("fractions of a step of the latency", "a delay is a whole number of physics steps")
 INERTIA_ONLY = "the link here has inertia only"
 JITTER = "part of latency_jitter"
-
+EACH_STEP = "the delay is drawn at each physics step, not for each set-point"
 
 Lines = Sequence[LeftOut]
 Text = Callable[[Sequence[Actuator], Robot | None, Lines], str]
@@ -242,9 +240,7 @@ TARGETS: Mapping[str, Target | MuJoCo] = {
         ),
         {
             "latency": STEPS,
-            "latency_jitter": (
-                JITTER, "the delay is drawn at each physics step, not for each set-point",
-            ),
+            "latency_jitter": (JITTER, EACH_STEP),
             "backlash": (
                 f"a hinge {PLAY.format('JOINT')} with play of {{0[gap_rad]:.6g}} rad",
                 "add it to the asset, between the joint's link and what that turns",
@@ -259,12 +255,7 @@ TARGETS: Mapping[str, Target | MuJoCo] = {
         "mjlab",
         _python(mjlab_text),
         (*FRICTION_AND_ROTOR, "latency_jitter", *SOFT),
-        {
-            "latency": STEPS,
-            "latency_jitter": (
-                JITTER, "the delay is drawn at each physics step, not for each set-point",
-            ),
-        },
+        {"latency": STEPS, "latency_jitter": (JITTER, EACH_STEP)},
         damping="damping",
     ),
     "newton": Target(
@@ -352,18 +343,17 @@ def costs(model: Model, *, whole_steps: bool, proportional: bool) -> tuple[Cost,
     found = []
     for name, joint in model.joints.items():
         data, latency, kd = excitation(joint, name), joint.latency_s, joint.kd_Nms_per_rad
-        stall, changes = joint.motor.get("stall_torque_Nm", 0.0), {}
+        motor, changes = joint.motor, dict[str, dict[str, JointModel]]()
         if whole_steps and latency > 0:
-            steps = {f" at {1e3 * s:g} ms": round(latency / s) * s for s in (0.001, 0.002, 0.005)}
-            what = f"delay of {1e3 * latency:.1f} ms as whole physics steps"
-            changes[what] = COLUMNS.index("latency_s"), steps
-        if proportional and stall * joint.motor.get("no_load_speed_rad_s", 0.0) * kd > 0:
-            what = "damping of the drive added to the back-EMF"
-            changes[what] = COLUMNS.index(LINE[1]), {"": stall / kd}
-        for what, (column, values) in changes.items():
-            rows = {at: joint_row(joint, data[0].load, where=name) for at in values}
-            for at, row in rows.items():
-                row[column] = values[at]
-            errors = {at: rms(errors_of(row, data)) for at, row in rows.items()}
+            steps = {s: round(latency / s) * s for s in (0.001, 0.002, 0.005)}
+            changes[f"delay of {1e3 * latency:.1f} ms as whole physics steps"] = {
+                f" at {1e3 * s:g} ms": replace(joint, latency_s=x) for s, x in steps.items()
+            }
+        stall = motor.get("stall_torque_Nm", 0.0)
+        if proportional and stall * motor.get("no_load_speed_rad_s", 0.0) * kd > 0:
+            line = {**motor, "no_load_speed_rad_s": stall / kd}
+            changes["damping of the drive added to the back-EMF"] = {"": replace(joint, motor=line)}
+        for what, changed in changes.items():
+            errors = {at: rollout_error(one, name, data) for at, one in changed.items()}
             found.append(Cost(name, what, errors))
     return tuple(found)
