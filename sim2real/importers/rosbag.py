@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -136,22 +135,18 @@ def streams(
 
 
 def joint_series(
-    stream: Stream,
-    joints: Sequence[str],
-    values: Callable[[Message], Mapping[str, float]],
-    *,
-    angles: bool = True,
+    stream: Stream, joints: Sequence[str], field: str = "command"
 ) -> dict[str, pd.Series[float]]:
     """Values of joints in a stream, each by time in ns in order of time; NaN is omitted.
 
-    ``values`` reads them by joint name out of one message; with ``angles`` they are in rad, and
-    every joint must have some. ``InputError`` if a message is inconsistent, a value too large, or a
-    joint has no angle.
+    ``field`` is that of `joint_values`. Angles are in rad, and every joint must have some.
+    ``InputError`` if a message is inconsistent, a value too large, or a joint has no angle.
     """
+    angles = field in ("command", "position")
     rows = []
     for k, message in enumerate(stream.messages):
         try:
-            read = values(message)
+            read = joint_values(message, field, joints)
         except ValueError as error:
             raise InputError(stream.file, f"{stream.topic}, message {k}", *error.args) from None
         rows.append([read.get(joint, np.nan) for joint in joints])
@@ -171,54 +166,40 @@ def joint_series(
     return series
 
 
-def measured(message: Message, field: str) -> dict[str, float]:
-    """``field`` of a JointState by joint name; empty if the field is empty.
+def joint_values(message: Message, field: str, joints: Sequence[str]) -> dict[str, float]:
+    """``command``, ``position``, ``velocity`` or ``effort`` by joint name; {} if not measured.
 
-    For a controller's state it is that of ``feedback`` (``actual`` before ROS 2 Humble).
-    ``ValueError`` if names and values do not match; arguments: found, expected.
+    ``joints`` are the names for an array or a number. Of a trajectory the command is its future
+    point (``time_from_start`` above 0, or the only point), sent when the trajectory starts:
+    interpolation by the controller is attributed to the servo. With several future points the
+    controller computes the set-points: they are the ``reference`` of its state, measured values its
+    ``feedback`` (``desired`` and ``actual`` before ROS 2 Humble). ``ValueError`` if names and
+    values do not match, or there are several points ahead; arguments: found, expected.
     """
-    content, name = message.content, field
-    if message.type == CONTROLLER:
-        content = _point(content, "feedback", "actual")
-        name = {"position": "positions", "velocity": "velocities"}.get(field, field)
-    values = getattr(content, name)
-    return _by_name(message.joints, values, field) if len(values) else {}
-
-
-def set_points(message: Message, joints: Sequence[str]) -> dict[str, float]:
-    """Set-points in rad by joint name; ``joints`` are the names for an array or a number.
-
-    For a trajectory it is the future point (``time_from_start`` above 0, or the only point), sent
-    when the trajectory starts: interpolation by the controller is attributed to the servo. With
-    several future points the controller computes the set-points: they are in the ``reference``
-    (``desired`` before ROS 2 Humble) of its state. ``ValueError`` if names and values do not match,
-    or there are several points ahead.
-    """
+    content, names, sent = message.content, message.joints, field == "command"
     if message.type in (FLOAT, ARRAY):
-        return _by_name(joints, np.atleast_1d(message.content.data).tolist(), "data")
-    if message.type == JOINT_STATE:
-        return _by_name(message.joints, message.content.position, "position")
-    if message.type == CONTROLLER:
-        reference = _point(message.content, "reference", "desired")
-        return _by_name(message.joints, reference.positions, "positions")
-    points = message.content.points
-    ahead = [p for p in points if (p.time_from_start.sec, p.time_from_start.nanosec) > (0, 0)]
-    chosen = ahead or points
-    if len(chosen) != 1:
-        expected = "one in each message (or the topic of the controller's own state)"
-        raise ValueError(f"{len(chosen)} trajectory points ahead", expected)
-    return _by_name(message.joints, chosen[0].positions, "positions")
-
-
-def _point(content: Any, name: str, before: str) -> Any:  # noqa: ANN401
-    """A point of a controller's state by its present or, if empty, its former name."""
-    point = getattr(content, name, None)
-    return point if point is not None and len(point.positions) else getattr(content, before, point)
-
-
-def _by_name(names: Sequence[str], values: Sequence[float], field: str) -> dict[str, float]:
+        names, values = tuple(joints), np.atleast_1d(content.data)
+    elif message.type == JOINT_STATE:
+        values = getattr(content, "position" if sent else field)
+    elif message.type == CONTROLLER:
+        now, before = ("reference", "desired") if sent else ("feedback", "actual")
+        point = getattr(content, now, None)
+        if point is None or not len(point.positions):
+            point = getattr(content, before, point)
+        plural = {"velocity": "velocities", "effort": "effort"}.get(field, "positions")
+        values = getattr(point, plural)
+    else:
+        times = [(p.time_from_start.sec, p.time_from_start.nanosec) for p in content.points]
+        ahead = [p for p, t in zip(content.points, times, strict=True) if t > (0, 0)]
+        ahead = ahead or content.points
+        if len(ahead) != 1:
+            expected = "one in each message (or the topic of the controller's own state)"
+            raise ValueError(f"{len(ahead)} trajectory points ahead", expected)
+        values = ahead[0].positions
+    if not (sent or len(values)):
+        return {}
     if len(names) != len(values):
-        raise ValueError(f"{len(values)} values in {field}", f"one for each of {', '.join(names)}")
+        raise ValueError(f"{len(values)} values of {field}", f"one for each of {', '.join(names)}")
     return {name: float(value) for name, value in zip(names, values, strict=True)}
 
 
@@ -257,13 +238,13 @@ def read_bag(
     bag = streams(path, read_messages(path, allowed_types))
     state = bag[state_topic]
     names = _joint_names(joints, bag[listed[0]], state)
-    position = joint_series(state, names, partial(measured, field="position"))
+    position = joint_series(state, names, "position")
     warnings = check_source(state, position)
     command: dict[str, pd.Series[float]] = {}
     sources = listed if len(listed) > 1 else listed * len(names)
     for topic in dict.fromkeys(listed):
         own = tuple(name for name, one in zip(names, sources, strict=True) if one == topic)
-        command |= joint_series(bag[topic], own, partial(set_points, joints=own))
+        command |= joint_series(bag[topic], own)
     start = max(values.index[0] for values in command.values())
     for joint, values in position.items():
         if values.index[-1] <= start:
@@ -271,7 +252,7 @@ def read_bag(
             raise InputError(path, state_topic, found, "states while commands are sent")
     others: dict[str, pd.Series[float]] = {}
     for field, column in OPTIONAL.items():
-        read = joint_series(state, names, partial(measured, field=field), angles=False)
+        read = joint_series(state, names, field)
         # drivers write 0 for quantities that they do not measure
         others |= {f"{joint}.{column}": values for joint, values in read.items() if values.any()}
     angles, sent = _frame(position)[list(names)], _frame(command)[list(names)]
