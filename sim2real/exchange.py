@@ -67,7 +67,7 @@ def import_log(
         InputError: If the log cannot be read, an option that it needs is missing, or one does not
             apply to its kind.
     """
-    given = {name: value for name, value in locals().items() if value is not None}
+    given = {k: x for k, x in locals().items() if x is not None and k not in ("source", "out")}
     from sim2real.importers.read_log import read_log
 
     return read_log(Path(source), None if out is None else Path(out), given)

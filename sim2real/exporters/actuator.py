@@ -7,11 +7,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from sim2real.effects import named
 from sim2real.errors import InputError
 from sim2real.model import LAWS, JointModel, Model
 from sim2real.robot import Joint, Robot
-from sim2real.servo.parameters import TRAINS
+from sim2real.servo.parameters import TRAINS, joint_row
 
 SATURATION = "torque_saturation"
 BEYOND_LIMIT = f"{SATURATION}.free_damping"
@@ -24,30 +23,14 @@ MOTOR_TERMS = (
 )
 """Parameters of the law ``motor`` that an effect of the catalogue also has."""
 
-MOTOR_LACKS = {
-    "resistance_rise": "it weakens the motor as its current grows",
-    "loop_period_s": "it holds the drive between two samples of the controller",
-    "loop_phase_s": "it is the time of the controller's first sample",
-    "stick_time_s": "it is how soon dry friction stops the shaft",
-    "creep_time_s": "it is how fast the shaft creeps against dry friction",
-}
-"""Meaning of parameters of the law ``motor``; the others are load-dependent friction."""
-
 LACKS = {
-    "stribeck_friction": "its friction is a constant torque",
-    "presliding_friction": "its friction is a constant torque",
-    "asymmetric_friction": "its friction is the same both ways",
-    "load_friction": "its friction does not depend on the load",
-    "quadratic_drag": "its damping is linear in the speed",
     "gravity_load": "add the weight to the link",
-    "torque_saturation": "the limit of the drive is the motor's own",
     "sensor_offset": "add it to the observation",
     "sensor_gain": "scale the observation",
-    "sensor_filter": "filter the observation",
     "encoder_quantization": "round the observation",
     "packet_loss": "omit actions in the environment",
 }
-"""Why a target lacks an effect, where it has no reason of its own."""
+"""Why a target lacks effects that no refit replaces, where it has no reason of its own."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +73,7 @@ class Actuator:
 
     @property
     def beyond_load(self) -> float:
-        """Inertia in kg m2 beyond that of the stated load: of the rotor, and what is unmodelled."""
+        """Inertia in kg m2 beyond that of the stated load, see ``parameters.beyond_load``."""
         return self.value("unmodelled_inertia", "inertia_kgm2") + self.train_rotor
 
     @property
@@ -102,12 +85,6 @@ class Actuator:
     def friction(self) -> float:
         """Dry friction, N m."""
         return self.value("coulomb_friction", "torque_Nm")
-
-    @property
-    def delays(self) -> tuple[float, float]:
-        """Shortest and longest delay of a set-point in s, with ``latency_jitter``."""
-        spread = self.value("latency_jitter", "halfwidth_s")
-        return max(self.latency - spread, 0.0), self.latency + spread
 
     @property
     def current_limit(self) -> float | None:
@@ -124,6 +101,11 @@ class Actuator:
     def damping_beyond(self) -> float:
         """Damping beyond the limit of the torque at any speed, N m s/rad."""
         return self.value(SATURATION, "free_damping") * (self.kd + self.back_emf)
+
+    @property
+    def unlimited_damping(self) -> float:
+        """Damping that a limit of the drive leaves, N m s/rad; without a limit all of it."""
+        return self.kd + self.back_emf if self.limit is None else self.back_emf
 
     @property
     def passive_damping(self) -> float:
@@ -198,36 +180,26 @@ class Export:
 def actuators(model: Model, robot: Robot | None = None) -> tuple[Actuator, ...]:
     """The servos of a model, in its order; limits that were not identified are the robot's.
 
-    ``InputError`` if the model has no joint, the robot lacks a joint of the model, or an effect or
-    a law is unknown.
+    ``InputError`` if the model has no joint, the robot lacks a joint of the model, a law is
+    unknown, or as of ``joint_row``.
     """
     if not model.joints:
         raise InputError("model", "joints", "none", "at least one identified joint")
-    servos = []
-    for name, joint in model.joints.items():
-        sheet = robot.joint(name) if robot else None
-        if robot and sheet is None:
-            names = ", ".join(joint.name for joint in robot.joints)
-            expected = f"the model's joint {name} among them"
-            raise InputError(robot.path or robot.name, "joints", names, expected)
-        servos.append(_actuator(name, joint, sheet))
-    return tuple(servos)
+    sheets = {joint.name: joint for joint in robot.joints} if robot else {}
+    if robot and (lacking := [name for name in model.joints if name not in sheets]):
+        expected = f"the model's joint {lacking[0]} among them"
+        raise InputError(robot.path or robot.name, "joints", ", ".join(sheets), expected)
+    return tuple(actuator(name, one, sheets.get(name)) for name, one in model.joints.items())
 
 
-def _actuator(name: str, joint: JointModel, sheet: Joint | None) -> Actuator:
-    # Other laws of the drive are mapped to kd, limit and back_emf, which every exporter supports.
+def actuator(name: str, joint: JointModel, sheet: Joint | None = None) -> Actuator:
+    """One servo; other laws of the drive become kd, limit and back-EMF, which all targets have."""
     if joint.law not in LAWS:
         expected = f"one of {', '.join(LAWS)}"
         raise InputError("model", f"joints.{name}.law", repr(joint.law), expected)
+    joint_row(joint, joint.load, f"model, {name}", alone=False)  # checks names and signs
     motor = {key: value for key, value in joint.motor.items() if value}
-    effects: dict[str, dict[str, float]] = {}
-    for fitted in joint.effects:
-        known = {parameter.name for parameter in named(fitted.effect, f"model, {name}").parameters}
-        if unknown := ", ".join(sorted(set(fitted.parameters) - known)):
-            expected = f"one of {', '.join(sorted(known))}"
-            raise InputError("model", f"joints.{name}.{fitted.effect}", unknown, expected)
-        if any(fitted.parameters.values()):
-            effects[fitted.effect] = dict(fitted.parameters)
+    effects = {e.effect: dict(e.parameters) for e in joint.effects if any(e.parameters.values())}
     trains = [e for e in TRAINS if effects.get(e, {}).get(_ROTOR)]
     for key, effect, parameter in MOTOR_TERMS:
         if key in motor:
@@ -272,20 +244,18 @@ def listed(effect: str, values: Mapping[str, float]) -> str:
 def left_out(
     servo: Actuator, target: str, has: Iterable[str], lacks: Mapping[str, str]
 ) -> list[LeftOut]:
-    """What a target with these effects and reasons (beside ``LACKS``) does not express."""
-    lines, reasons = [], LACKS | dict(lacks)
+    """What a target with these effects and reasons (beside ``LACKS``) does not express.
+
+    Losses of the motor that it lacks are not in the model: `nearest` replaces them.
+    """
+    lines = []
     if servo.per_inertia:
         why = "the load was not known, so gains and torques are per kg m2 of inertia on the shaft"
         lines.append(LeftOut(servo.joint, "unit of the gains", why))
     for effect, values in servo.effects.items():
         if effect not in has:
-            why = reasons.get(effect, f"{target} has no equivalent")
+            why = (LACKS | dict(lacks)).get(effect, f"{target} has no equivalent")
             lines.append(LeftOut(servo.joint, listed(effect, values), why))
-    for name, value in servo.motor.items():
-        if f"motor.{name}" not in has:
-            meaning = MOTOR_LACKS.get(name, "a share of gear friction that grows with load")
-            why = f"{target} has no equivalent: {meaning}"
-            lines.append(LeftOut(servo.joint, f"motor.{name} ({value:.6g})", why))
     return lines
 
 

@@ -54,25 +54,35 @@ def casadi_c_text(servos: Sequence[Actuator], _: Robot | None, lines: Sequence[L
 
 def _functions(servos: Sequence[Actuator]) -> list[Function]:
     """``servo_JOINT`` of each joint; further ones of one name end in their number."""
-    names: list[str] = []
+    functions: dict[str, Function] = {}
     for k, servo in enumerate(servos, 1):
         name = f"servo_{_identifier(servo.joint)}".rstrip("_")
-        names.append(f"{name}_{k}" if name in names else name)
-    return [servo_function(servo, name) for servo, name in zip(servos, names, strict=True)]
+        name = f"{name}_{k}" if name in functions else name
+        functions[name] = servo_function(servo, name)
+    return list(functions.values())
 
 
-def servo_function(
-    servo: Actuator, name: str = "servo", *, longest_s: float = 0.01, smoothing: float = 1e-3
-) -> Function:
-    """State of a servo after ``duration_s``, by default ``longest_s``, as a ``casadi.Function``.
+def servo_function(servo: Actuator, name: str = "servo") -> Function:
+    """State of a servo after ``duration_s``, 10 ms by default, as a ``casadi.Function``.
 
     Inputs are ``state``, ``set_point`` in rad in force (sent the latency ago), ``duration_s``,
     ``smoothing`` and the servo's parameters, with their identified values as defaults. The state is
     angle in rad and speed in rad/s, and an internal set-point in rad for each of ``rate_limit`` and
-    ``command_filter``. Durations up to ``longest_s`` are as accurate as a prediction.
+    ``command_filter``. Durations up to 10 ms are as accurate as a prediction.
     """
-    ca = library("casadi", "--to casadi")
-    values = _values(servo)
+    ca, longest_s = library("casadi", "--to casadi"), 0.01
+    effects = {k: v for k, v in servo.effects.items() if k in HAS and k != "unmodelled_inertia"}
+    every = {
+        "kp_Nm_per_rad": servo.kp,
+        "kd_Nms_per_rad": servo.kd,
+        "inertia_kgm2": servo.inertia + servo.beyond_load,
+        "gravity_Nm": servo.gravity,
+        "limit_Nm": servo.limit or 0.0,
+        "back_emf_Nms_per_rad": servo.back_emf,
+        **{f"{effect}.{name}": x for effect, given in effects.items() for name, x in given.items()},
+        **{f"motor.{name}": x for name, x in servo.motor.items() if f"motor.{name}" in HAS},
+    }
+    values = {key: x for key, x in every.items() if x or key.startswith("k")}
     names = [_identifier(key) for key in values]
     symbols = dict(zip(values, map(ca.SX.sym, names), strict=True))
     cells = [effect for effect in ("rate_limit", "command_filter") if effect in servo.effects]
@@ -93,29 +103,13 @@ def servo_function(
         [end],
         ["state", "set_point", "duration_s", "smoothing", *names],
         ["next_state"],
-        {"default_in": [0.0, 0.0, longest_s, smoothing, *values.values()]},
+        {"default_in": [0.0, 0.0, longest_s, 1e-3, *values.values()]},
     )
 
 
 def _identifier(name: str) -> str:
     """A name as C and CasADi take it."""
     return re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
-
-
-def _values(servo: Actuator) -> dict[str, float]:
-    """Parameters that are not 0 by name: those of the drive, ``effect.NAME`` and ``motor.NAME``."""
-    effects = {k: v for k, v in servo.effects.items() if k in HAS and k != "unmodelled_inertia"}
-    values = {
-        "kp_Nm_per_rad": servo.kp,
-        "kd_Nms_per_rad": servo.kd,
-        "inertia_kgm2": servo.inertia + servo.beyond_load,
-        "gravity_Nm": servo.gravity,
-        "limit_Nm": servo.limit or 0.0,
-        "back_emf_Nms_per_rad": servo.back_emf,
-        **{f"{effect}.{name}": x for effect, given in effects.items() for name, x in given.items()},
-        **{f"motor.{name}": x for name, x in servo.motor.items() if f"motor.{name}" in HAS},
-    }
-    return {name: x for name, x in values.items() if x or name.startswith("k")}
 
 
 class _SmoothServo:

@@ -19,9 +19,9 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.errors import InputError, library, one_of
 from sim2real.exporters.actuator import Export, LeftOut, listed
-from sim2real.exporters.mjcf_text import MjcfHinge, limited, with_servo
+from sim2real.exporters.mjcf_text import actuator_limits, with_servo
 from sim2real.exporters.mujoco import expressed, mujoco
-from sim2real.exporters.mujoco_bench import BRISTLES, simulated
+from sim2real.exporters.mujoco_bench import BRISTLES, simulate
 from sim2real.exporters.nearest import Which, excitation, fitting_data, nearest
 from sim2real.identification.search import errors_of
 from sim2real.model import FittedEffect, JointModel, Model
@@ -54,20 +54,18 @@ class StepResponse:
         )
 
 
-def responses(
-    t: Array, command: Array, angle: Array, *, least_rad: float = 0.05, hold_s: float = 0.4
-) -> Array:
+def responses(t: Array, command: Array, angle: Array) -> Array:
     """Rise time in s, overshoot and steady error in rad of each step, shape (N, 3).
 
-    Steps are of at least ``least_rad`` and held for ``hold_s``; the last fifth of a hold is where
-    the joint settles. Times in s, set-points and angles in rad (T,); angles may have NaN.
+    Steps are of at least 50 mrad and held for 0.4 s; the last fifth of a hold is where the joint
+    settles. Times in s, set-points and angles in rad (T,); angles may have NaN.
     """
-    starts = np.flatnonzero(np.diff(command)) + 1
+    starts, least_rad = np.flatnonzero(np.diff(command)) + 1, 0.05
     rows = []
     for start, stop in zip(starts, [*starts[1:], t.size], strict=True):
         part = np.arange(start, stop)[np.isfinite(angle[start:stop])]
         small = abs(command[start] - command[start - 1]) < least_rad
-        if small or part.size < 2 or t[part[-1]] - t[start] < hold_s:
+        if small or part.size < 2 or t[part[-1]] - t[start] < 0.4:
             continue
         since, seen = t[part] - t[start], angle[part]
         settled = float(np.mean(seen[since >= 0.8 * since[-1]]))
@@ -107,18 +105,21 @@ def into_robot(
     made = nearest(Model(joints), lambda x: expressed(x) - BRISTLES, recordings, which=which)
     lines, steps = list[LeftOut](), list[StepResponse]()
     for name, own in owns.items():
-        dof, found = robot.dof(name, file), made.model.joints[own]
-        servo, kept = _on_inertia(name, found, robot.inertia(dof))
+        found, hinges = made.model.joints[own], robot.hinges()
+        if name not in hinges:
+            raise InputError(file, name, "no such hinge", one_of(name, hinges))
+        servo, kept = _on_inertia(name, found, robot.inertia(name))
         dropped = [line for line in made.dropped if line.component == own]
         bench = mujoco(Model({name: servo}), None, (*dropped, *kept))
-        hinge = robot.hinge(name, adds=found.per_inertia)
-        theirs = hinge.limits.get("forcerange")
-        if theirs and "forcerange" not in bench.text:
+        limits = actuator_limits(robot.model, name)
+        if (theirs := limits.get("forcerange")) and "forcerange" not in bench.text:
             why = f"none was identified, so that of the file stays ({theirs} N m)"
             bench = replace(bench, left_out=(*bench.left_out, LeftOut(name, "a limit", why)))
         lines += bench.left_out
+        compiled = robot.spec, robot.model
         try:
-            content, drive = with_servo(file, content, hinge, bench)
+            adds = found.per_inertia
+            content, drive = with_servo(file, content, compiled, name, bench, limits, adds=adds)
             text = content.decode()
         except (ExpatError, UnicodeDecodeError) as error:
             raise InputError(file, "", str(error), "XML in UTF-8") from None
@@ -168,7 +169,6 @@ def _on_inertia(name: str, joint: JointModel, inertia: float) -> tuple[JointMode
 class _Compiled:
     """A file as MuJoCo has it."""
 
-    mj: Any
     spec: Any
     model: Any
 
@@ -176,66 +176,42 @@ class _Compiled:
     def loaded(cls, file: Path, source: Path | None = None, content: bytes = b"") -> _Compiled:
         """The file, or a content that is to be this file and was made from ``source``."""
         mj = library("mujoco", "--into")
+        expected = "an MJCF file that MuJoCo loads"
         try:
             if source is None:
                 spec = mj.MjSpec.from_file(str(file))
-                return cls(mj, spec, spec.compile())
+                return cls(spec, spec.compile())
+            expected += f", in the folder of {source} if that has further files"
             folder = source.parent if is_stream(file) else file.parent
             with tempfile.NamedTemporaryFile(dir=folder, prefix=".", suffix=".xml") as there:
                 there.write(content)
                 there.flush()
                 spec = mj.MjSpec.from_file(there.name)
-                return cls(mj, spec, spec.compile())
+                return cls(spec, spec.compile())
         except (ValueError, RuntimeError) as error:
-            expected = "an MJCF file that MuJoCo loads"
-            if source is not None:
-                expected += f", in the folder of {source} if that has further files"
             raise InputError(file, "", str(error).strip(), expected) from None
 
-    def dof(self, name: str, file: Path) -> int:
-        """Place of a hinge among the degrees of freedom."""
-        kind = self.mj.mjtJoint.mjJNT_HINGE
-        all_joints = map(self.model.joint, range(self.model.njnt))
-        hinges = {one.name: int(one.dofadr[0]) for one in all_joints if one.type[0] == kind}
-        if name not in hinges:
-            raise InputError(file, name, "no such hinge", one_of(name, [*hinges]))
-        return hinges[name]
+    def hinges(self) -> list[str]:
+        """Names of its hinges."""
+        kind = library("mujoco", "--into").mjtJoint.mjJNT_HINGE
+        joints = map(self.model.joint, range(self.model.njnt))
+        return [joint.name for joint in joints if joint.type[0] == kind]
 
     def posed(self) -> Any:  # noqa: ANN401
         """Data at the first keyframe, or where there is none in the reference pose."""
-        data = self.mj.MjData(self.model)
+        mj = library("mujoco", "--into")
+        data = mj.MjData(self.model)
         if self.model.nkey:
-            self.mj.mj_resetDataKeyframe(self.model, data, 0)
+            mj.mj_resetDataKeyframe(self.model, data, 0)
+        mj.mj_forward(self.model, data)
         return data
 
-    def inertia(self, dof: int) -> float:
+    def inertia(self, name: str) -> float:
         """Inertia about a hinge in kg m2, its armature included."""
-        data, column = self.posed(), np.zeros(self.model.nv)
-        self.mj.mj_forward(self.model, data)
-        self.mj.mj_mulM(self.model, data, column, np.eye(self.model.nv)[dof])
+        dof, column = int(self.model.joint(name).dofadr[0]), np.zeros(self.model.nv)
+        unit = np.eye(self.model.nv)[dof]
+        library("mujoco", "--into").mj_mulM(self.model, self.posed(), column, unit)
         return float(column[dof])
-
-    def hinge(self, name: str, *, adds: bool) -> MjcfHinge:
-        """What the file says of a hinge; with ``adds`` its armature stays beside the servo's."""
-        model, joint = self.model, self.model.joint(name)
-        kind, limits = self.mj.mjtTrn, {}
-        kinds = int(kind.mjTRN_JOINT), int(kind.mjTRN_JOINTINPARENT)
-        theirs = (model.actuator_trnid[k][0] == joint.id for k in range(model.nu))
-        acts = [k for k, one in enumerate(theirs) if one and model.actuator_trntype[k] in kinds]
-        for k in acts[:1]:
-            limits = {"ctrllimited": "false", "forcelimited": "false"}
-            if model.actuator_forcelimited[k]:
-                limits |= limited("force", model.actuator_forcerange[k])
-            at = getattr(model, "actuator_ctrladr", range(model.nu))[k]  # since MuJoCo 4
-            gain, back = model.actuator_gainprm[k][0], model.actuator_biasprm[k][1]
-            if gain and np.isclose(gain, -back, rtol=1e-3) and model.actuator_ctrllimited[at]:
-                limits |= limited("ctrl", model.actuator_ctrlrange[at])
-        body, dof = int(joint.bodyid[0]), int(joint.dofadr[0])
-        last = int(model.body_jntadr[body] + model.body_jntnum[body]) - 1
-        behind = {"qpos": int(model.jnt_qposadr[last]) + 1, "qvel": int(model.jnt_dofadr[last]) + 1}
-        armature = float(model.dof_armature[dof]) if adds else 0.0
-        degrees = bool(self.spec.compiler.degree)
-        return MjcfHinge(name, limits, armature, behind, degrees, float(model.opt.timestep))
 
     def reach(self, joint: JointModel, name: str) -> list[Trace]:
         """Standard steps of a servo about the middle of what a hinge can reach."""
@@ -252,9 +228,9 @@ class _Compiled:
     ) -> list[StepResponse]:
         """Steps as recorded (``what``), of the identified servo on that load, and in the robot."""
         name, drive = names  # of the hinge and of its actuator
-        model, off = copy(self.model), self.mj.mjtDisableBit
+        model, off = copy(self.model), library("mujoco", "--into").mjtDisableBit
         hinge = model.joint(name)
-        here = f"{file}, {self.inertia(int(hinge.dofadr[0])):.3g} kg m2"
+        here = f"{file}, {self.inertia(name):.3g} kg m2"
         joints = [model.joint(k).name for k in model.dof_jntid]
         held = [k for k, one in enumerate(joints) if one not in {name, f"{name}_lead"}]
         model.dof_armature[held] += 1e6
@@ -267,7 +243,7 @@ class _Compiled:
             motions = {what: trace.measured} if what else {}
             load = "" if joint.per_inertia else f", {trace.load.inertia_kgm2:.3g} kg m2"
             motions[f"predict{load}"] = trace.simulated(errors) if what else trace.position
-            motions[here] = simulated(model, trace.t, sent, start, {name: drive})[name]
+            motions[here] = simulate(model, trace.t, sent, start, drives={name: drive})[name]
             for kind, angle in motions.items():
                 part = np.where(trace.used, angle, np.nan)
                 rows.setdefault(kind, []).append(responses(trace.t, trace.command, part))

@@ -7,30 +7,23 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
-from sim2real.errors import InputError
+import numpy as np
+
+from sim2real.errors import InputError, library
 from sim2real.exporters.actuator import Export
 
 _TAG = re.compile(r"""<(?:[^>"']|"[^"]*"|'[^']*')*>""")
 _FLANK = {"pos": "0 0 0", "mass": "1e-6", "diaginertia": "1e-9 1e-9 1e-9"}
 """The motor's side of a gear train; its tendon has its inertia, which is about the shaft only."""
 _NO_LOSSES = {"armature": "0", "damping": "0", "frictionloss": "0"}
-
-
-@dataclass(frozen=True)
-class MjcfHinge:
-    """What a compiled file says of a hinge."""
-
-    name: str
-    limits: Mapping[str, str]  # attributes of its actuator; empty without one
-    armature: float  # to be added to the servo's, kg m2
-    behind: Mapping[str, int]  # places in ``qpos`` and ``qvel`` behind the joints of its body
-    degrees: bool  # whether angles of the file are
-    timestep_s: float
+Edit = tuple[int, int, str]
+"""Ends of a part of the text, and what replaces it."""
 
 
 @dataclass
@@ -42,6 +35,15 @@ class _Markup:
     start: int
     stop: int  # of its first tag
     end: int
+
+    def with_attributes(self, text: str, attributes: Mapping[str, str]) -> Edit:
+        """Its first tag with these attributes, in place of those it has."""
+        tag = text[self.start : self.stop]
+        for name in attributes:
+            tag = re.sub(rf"""\s+{name}\s*=\s*("[^"]*"|'[^']*')""", "", tag)
+        close = re.search(r"\s*/?>\Z", tag).start()  # type: ignore[union-attr]
+        added = "".join(f" {name}={_raw(quoteattr(x))}" for name, x in attributes.items())
+        return self.start, self.stop, tag[:close] + added + tag[close:]
 
 
 def _parts(text: str) -> list[_Markup]:
@@ -59,27 +61,39 @@ def _parts(text: str) -> list[_Markup]:
 
     def end(_: str) -> None:
         part = within.pop()
-        if text.startswith("</", parser.CurrentByteIndex) and text[part.stop - 2] != "/":
+        if text[part.stop - 2] != "/":
             part.end = text.index(">", parser.CurrentByteIndex) + 1
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.Parse(_bytes(text), True)
+    parser.Parse(text.encode("latin-1"), True)
     return found
 
 
-def with_servo(file: Path, content: bytes, hinge: MjcfHinge, bench: Export) -> tuple[bytes, str]:
+def with_servo(
+    file: Path,
+    content: bytes,
+    compiled: tuple[Any, Any],
+    name: str,
+    bench: Export,
+    limits: Mapping[str, str],
+    *,
+    adds: bool,
+) -> tuple[bytes, str]:
     """The content with the servo of a bench on a hinge, and the name of its actuator.
 
-    ``InputError`` if the hinge or its actuator is in a file that this one includes, or it has a
-    servo that was written here.
+    ``compiled`` are MuJoCo's specification and model of the content, ``limits`` those of the
+    hinge's actuator; with ``adds`` its armature stays, beside the servo's. ``InputError`` if the
+    hinge or its actuator is in a file that this one includes, or it has a servo that was written
+    here.
     """
-    text, name, made = content.decode("latin-1"), hinge.name, ElementTree.fromstring(bench.text)
-    parts = _parts(text)
+    spec, model = compiled
+    text, made = content.decode("latin-1"), ElementTree.fromstring(bench.text)
+    parts, joint = _parts(text), model.joint(name)
     joints = (one for one in parts if re.fullmatch("mujoco/worldbody/.*joint", one.path))
     own = next((one for one in joints if one.attrib.get("name") == name), None)
     targets = {("joint", name), ("jointinparent", name)}
     acting = [x for x in _children(parts, "actuator") if targets & set(x.attrib.items())]
-    if own is None or (hinge.limits and not acting):
+    if own is None or (limits and not acting):
         where = "a joint or an actuator of an included file"
         raise InputError(file, name, where, "the file that has both")
     title = f"<!-- {name}: identified by sim2real"
@@ -87,48 +101,49 @@ def with_servo(file: Path, content: bytes, hinge: MjcfHinge, bench: Export) -> t
         raise InputError(file, name, "a servo that export-servo wrote", "the file from before that")
     shaft, drive = _child(made, "worldbody/body/joint"), _child(made, "actuator/*")
     given = {k: x for k, x in shaft.attrib.items() if k not in {"name", "type", "axis"}}
-    limits = dict(hinge.limits) or {"ctrllimited": "false", "forcelimited": "false"}
+    limits = {"ctrllimited": "false", "forcelimited": "false", **limits}
     if "forcerange" in drive.attrib:
         limits["forcelimited"] = "true"
         given["actuatorfrclimited"] = str("actuatorfrcrange" in given).lower()
     given = _NO_LOSSES | given
-    if hinge.armature:
-        given["armature"] = f"{hinge.armature + float(given['armature']):.9g}"
-    edits = [(own.start, own.stop, _with(text[own.start : own.stop], given))]
-    keys = {one.start: one for one in _children(parts, "keyframe")}
-    values = {at: dict[str, str]() for at in keys}
+    if armature := adds and float(model.dof_armature[joint.dofadr[0]]):
+        given["armature"] = f"{armature + float(given['armature']):.9g}"
+    edits = [own.with_attributes(text, given)]
+    keys = [(key, dict[str, str]()) for key in _children(parts, "keyframe")]
     if (motor := made.find("worldbody/body/body")) is not None:
-        _finish_motor(motor, own, _child(made, "tendon/fixed"), degrees=hinge.degrees)
-        edits.append((own.end, own.end, _xml(motor, text, own.start, before="\n")))
-        for at, key in keys.items():
-            for kind, place in hinge.behind.items():
+        _finish_motor(motor, own, _child(made, "tendon/fixed"), degrees=bool(spec.compiler.degree))
+        ElementTree.indent(motor)
+        inserted = f"\n{_indent(text, own.start)}{_xml(motor, text, own.start)}"
+        edits.append((own.end, own.end, inserted))
+        # its place is behind the joints of its body
+        body = int(joint.bodyid[0])
+        last = int(model.body_jntadr[body] + model.body_jntnum[body]) - 1
+        behind = {"qpos": model.jnt_qposadr[last] + 1, "qvel": model.jnt_dofadr[last] + 1}
+        for key, changed in keys:
+            for kind, place in behind.items():
                 if numbers := key.attrib.get(kind, "").split():
-                    values[at][kind] = " ".join([*numbers[:place], "0", *numbers[place:]])
+                    changed[kind] = " ".join([*numbers[:place], "0", *numbers[place:]])
     explicit = {"gear": "1", "actlimited": "false", "delay": "0", "nsample": "0"}
     explicit |= {"dyntype": "none"} if drive.tag == "general" else {}
     drive.attrib = explicit | limits | drive.attrib
     if delay := float(drive.attrib["delay"]):
-        drive.set("nsample", str(math.ceil(delay / hinge.timestep_s) + 2))
+        drive.set("nsample", str(math.ceil(delay / float(model.opt.timestep)) + 2))
     lines = "".join(f"\n    {line}".replace("--", "- -") for line in bench.left_out)
     comment = _raw(f"{title}; not expressed:{lines} -->" if lines else f"{title} -->")
     added = {section: made.findall(f"{section}/*") for section in ("tendon", "actuator", "sensor")}
     if acting:
         first, *others = acting
-        kept = {"name", "group", "user"}
-        drive.attrib |= {k: x for k, x in first.attrib.items() if k in kept}
-        indent = _indent(text, first.start)
-        edits.append(
-            (first.start, first.end, f"{comment}\n{indent}{_xml(drive, text, first.start)}")
-        )
+        drive.attrib |= {k: first.attrib[k] for k in first.attrib if k in {"name", "group", "user"}}
+        replaced = f"{comment}\n{_indent(text, first.start)}{_xml(drive, text, first.start)}"
+        edits.append((first.start, first.end, replaced))
         edits += [(one.start, one.end, "") for one in others]
         added["actuator"].remove(drive)
         comment = ""
     else:
-        for at, key in keys.items():
+        for key, changed in keys:
             if "ctrl" in key.attrib:
-                values[at]["ctrl"] = f"{key.attrib['ctrl']} 0"
-    changed = [key for at, key in keys.items() if values[at]]
-    edits += [(x.start, x.stop, _with(text[x.start : x.stop], values[x.start])) for x in changed]
+                changed["ctrl"] = f"{key.attrib['ctrl']} 0"
+    edits += [key.with_attributes(text, changed) for key, changed in keys if changed]
     known = {x.attrib.get("name"): x for x in _children(parts, "sensor")}
     for sensor in [one for one in added["sensor"] if one.get("name") in known]:
         old = known[sensor.get("name")]
@@ -146,7 +161,26 @@ def with_servo(file: Path, content: bytes, hinge: MjcfHinge, bench: Export) -> t
     edits.append((end, end, sections))
     for start, stop, new in sorted(edits, reverse=True):
         text = text[:start] + new + text[stop:]
-    return _bytes(text), drive.get("name", name)
+    return text.encode("latin-1"), drive.get("name", name)
+
+
+def actuator_limits(model: Any, name: str) -> dict[str, str]:  # noqa: ANN401 - MuJoCo's own type
+    """Attributes of the limits of a hinge's actuator; none without one."""
+    kind = library("mujoco", "--into").mjtTrn
+    kinds = int(kind.mjTRN_JOINT), int(kind.mjTRN_JOINTINPARENT)
+    turn = np.isin(model.actuator_trntype, kinds) & (
+        model.actuator_trnid[:, 0] == model.joint(name).id
+    )
+    if not turn.any():
+        return {}
+    k, limits = int(np.flatnonzero(turn)[0]), {"ctrllimited": "false", "forcelimited": "false"}
+    if model.actuator_forcelimited[k]:
+        limits |= _limited("force", model.actuator_forcerange[k])
+    at = getattr(model, "actuator_ctrladr", range(model.nu))[k]  # since MuJoCo 4
+    gain, back = model.actuator_gainprm[k][0], model.actuator_biasprm[k][1]
+    if gain and np.isclose(gain, -back, rtol=1e-3) and model.actuator_ctrllimited[at]:
+        limits |= _limited("ctrl", model.actuator_ctrlrange[at])
+    return limits
 
 
 def _finish_motor(motor: Element, own: _Markup, sides: Element, *, degrees: bool) -> None:
@@ -158,12 +192,11 @@ def _finish_motor(motor: Element, own: _Markup, sides: Element, *, degrees: bool
     same = {"axis": own.attrib.get("axis", "0 0 1"), "pos": own.attrib.get("pos", "0 0 0")}
     lead.attrib = none | lead.attrib | same
     if degrees and "range" in lead.attrib:
-        lead.attrib |= limited(
-            "", [math.degrees(float(end)) for end in lead.attrib["range"].split()]
-        )
+        ends = [math.degrees(float(end)) for end in lead.attrib["range"].split()]
+        lead.attrib |= _limited("", ends)
 
 
-def limited(of: str, ends: Sequence[float]) -> dict[str, str]:
+def _limited(of: str, ends: Sequence[float]) -> dict[str, str]:
     """Attributes of a range."""
     return {f"{of}limited": "true", f"{of}range": " ".join(f"{end:.9g}" for end in ends)}
 
@@ -178,29 +211,15 @@ def _child(made: Element, path: str) -> Element:
     return child
 
 
-def _with(tag: str, attributes: Mapping[str, str]) -> str:
-    """A tag with these attributes, in place of those it has."""
-    for name in attributes:
-        tag = re.sub(rf"""\s+{name}\s*=\s*("[^"]*"|'[^']*')""", "", tag)
-    body, close = re.fullmatch(r"(.*?)(\s*/?>)", tag, re.DOTALL).groups()  # type: ignore[union-attr]
-    return body + "".join(f" {k}={_raw(quoteattr(x))}" for k, x in attributes.items()) + close
-
-
 def _indent(text: str, at: int) -> str:
     return re.search(r"[ \t]*\Z", text[:at]).group()  # type: ignore[union-attr]
 
 
-def _xml(element: Element, text: str, at: int, before: str = "") -> str:
+def _xml(element: Element, text: str, at: int) -> str:
     """An element with the indentation of a place in the text."""
-    if before:
-        ElementTree.indent(element)
-    written = _raw(ElementTree.tostring(element, encoding="unicode").strip().replace(" />", "/>"))
-    return (before + written).replace("\n", f"\n{_indent(text, at)}")
+    written = ElementTree.tostring(element, encoding="unicode").strip().replace(" />", "/>")
+    return _raw(written).replace("\n", f"\n{_indent(text, at)}")
 
 
 def _raw(text: str) -> str:
     return text.encode().decode("latin-1")
-
-
-def _bytes(text: str) -> bytes:
-    return text.encode("latin-1")

@@ -19,6 +19,7 @@ from sim2real.exporters.actuator import (
     Actuator,
     Export,
     LeftOut,
+    actuator,
     actuators,
     head,
     left_out,
@@ -49,34 +50,17 @@ PASSIVE = {"cogging", "presliding_friction", "stribeck_friction"}
 """Effects that are motors without inputs, which a limit of all motors of a joint would limit."""
 
 HAS = (
-    *sorted(PID | PASSIVE),
-    "asymmetric_friction",
-    "backlash",
-    "command_filter",
-    "compliance",
-    "coulomb_friction",
-    "gravity_load",
-    "quadratic_drag",
-    "sensor_gain",
-    "sensor_offset",
+    *sorted(PID | PASSIVE), "asymmetric_friction", "backlash", "command_filter", "compliance",
+    "coulomb_friction", "gravity_load", "quadratic_drag", "sensor_gain", "sensor_offset",
     "unmodelled_inertia",
-)
+)  # fmt: skip
 """Effects of the catalogue that an MJCF file expresses."""
 
 LACKS = {
-    "torque_asymmetry": "an actuator has one gain for both directions",
     "sensor_eccentricity": "add a sine of the angle to the observation",
-    "deadband": "an actuator's bias is linear in the angle",
-    "punch": "an actuator's bias is linear in the angle",
-    "acceleration_limit": "its slewmax limits the speed of a set-point only",
     "encoder_quantization": "sensors are continuous; round the reading",
-    "sensor_filter": "sensors have no dynamics; filter the reading",
     "latency_jitter": "a delay is constant; delay each set-point by a different time",
     "packet_loss": "the program that sets ctrl has to omit set-points",
-    "clock_drift": "a delay is constant",
-    "thermal_derating": "gains do not change while it runs",
-    "supply_droop": "gains do not change while it runs",
-    "voltage_sag": "a gain does not depend on the torque",
 }
 
 
@@ -85,7 +69,7 @@ def expressed(joint: JointModel) -> set[str]:
     has = {*HAS, *limit_effects(joint), *SOFT}
     names = {fitted.effect for fitted in joint.effects}
     has -= {fitted.effect for fitted in joint.effects if fitted.parameters.get(CONTROL_SIDE)}
-    if SATURATION in names and _two_limits(actuators(Model({"joint": joint}))[0]):
+    if SATURATION in names and _two_limits(actuator("joint", joint)):
         has |= {SATURATION, BEYOND_LIMIT}
     return has - {"command_filter"} if names & PID else has
 
@@ -112,15 +96,13 @@ def mujoco(
             servo, moved = limit_with_back_emf(servo, "the velocity gain of a pid")
             lines += moved
         _shaft(servo, parts["worldbody"], parts["tendon"])
-        lines += _motor(servo, parts["actuator"])
-        lines += _passive(servo, parts["actuator"])
-        _sensor(servo, parts["sensor"])
-        both = {SATURATION} if _two_limits(servo) else set()
-        lines += left_out(servo, "MuJoCo", (*HAS, *SOFT, *both), LACKS)
-        for effect, values in servo.effects.items():
-            if values.get(CONTROL_SIDE):
-                why = "an actuator feeds back the angle that it moves, here the motor's"
-                lines.append(LeftOut(servo.joint, f"{effect}.{CONTROL_SIDE}", why))
+        lines += [*_motor(servo, parts["actuator"]), *_passive(servo, parts["actuator"])]
+        seen = {"name": f"{servo.joint}_position"}
+        if servo.effects.keys() & {*TRAINS, "sensor_gain"}:
+            SubElement(parts["sensor"], "tendonpos", seen, tendon=f"{servo.joint}_seen")
+        else:
+            SubElement(parts["sensor"], "jointpos", seen, joint=servo.joint)
+        lines += left_out(servo, "MuJoCo", (*HAS, SATURATION), LACKS)
         if servo.effects.keys() >= set(TRAINS):
             why = "the stops of a joint with play are rigid"
             lines.append(LeftOut(servo.joint, "compliance with backlash", why))
@@ -139,10 +121,8 @@ def xml_text(root: Element, lines: Sequence[LeftOut], remarks: Sequence[str] = (
 def _two_limits(servo: Actuator) -> bool:
     """Whether a limit of the current can limit all motors of the joint, the back-EMF as well."""
     others = any(servo.value(name, "torque_Nm") for name in PASSIVE)
-    others |= bool(servo.effects.keys() & PID or _train(servo))
-    if servo.current_limit is None or others:
-        return False
-    return servo.damping_beyond <= servo.back_emf
+    alone = not (others or servo.effects.keys() & PID or _train(servo))
+    return servo.current_limit is not None and alone and servo.damping_beyond <= servo.back_emf
 
 
 def _shaft(servo: Actuator, world: Element, tendons: Element) -> None:
@@ -207,20 +187,14 @@ def _train(servo: Actuator) -> dict[str, str]:
         ratio = servo.value("compliance", "damping_ratio") or SPRING_DAMPING
         damping = 2 * ratio * math.sqrt(share * (1 - share) * inertia / spring)
         return {"stiffness": _text(1 / spring), "damping": _text(damping)}
-    if gap > 0:
-        return {"limited": "true", "range": _text(-gap / 2, gap / 2)} | _contact(servo)
-    return {}
-
-
-def _contact(servo: Actuator) -> dict[str, str]:
-    """Attributes of flanks that rebound: the damping ratio of an oscillator that does so.
-
-    A half-period of a damped oscillator reverses its speed by exp(-pi z / sqrt(1 - z^2)).
-    """
+    if gap == 0:
+        return {}
+    # A half-period of an oscillator of damping ratio z reverses its speed by
+    # exp(-pi z / sqrt(1 - z^2)).
     lost = -math.log(max(servo.value("backlash", "restitution"), LEAST_RESTITUTION))
     ratio = lost / math.hypot(math.pi, lost) if lost < -math.log(LEAST_RESTITUTION) else 1.0
-    reference = _text(CONTACT_S / ratio, ratio)
-    return {"solreflimit": reference, "solimplimit": CONTACT_IMPEDANCE}
+    flanks = {"solreflimit": _text(CONTACT_S / ratio, ratio), "solimplimit": CONTACT_IMPEDANCE}
+    return {"limited": "true", "range": _text(-gap / 2, gap / 2), **flanks}
 
 
 def _rotor(servo: Actuator) -> float:
@@ -250,24 +224,20 @@ def _losses(
 
 def _motor(servo: Actuator, section: Element) -> list[LeftOut]:
     """The drive: gain, bias, limit, delay; a ``pid`` with integral action or a rate limit."""
-    attributes = {"name": servo.joint}
-    if _train(servo):
-        attributes["tendon"] = f"{servo.joint}_motor"
-    else:
-        attributes["joint"] = servo.joint
+    moved = {"tendon": f"{servo.joint}_motor"} if _train(servo) else {"joint": servo.joint}
+    attributes = {"name": servo.joint, **moved}
     if servo.limit is not None:
         attributes["forcerange"] = _range(servo, servo.limit)
     if servo.latency > 0:
         attributes["delay"] = _text(servo.latency)
         attributes["nsample"] = str(math.ceil(servo.latency / TIMESTEP_S) + 2)
-    smooth = servo.value("command_filter", "time_constant_s")
     bias = _constant_torque(servo) + servo.kp * _offset(servo)
     if not servo.effects.keys() & PID:
         attributes |= {"gaintype": "fixed", "gainprm": _text(servo.kp), "biastype": "affine"}
         # With equal kp in gain and bias, MuJoCo reads a positive biasprm[2] as a damping ratio.
         stiff = servo.kp * (1 + 1e-7) if servo.kd < 0 else servo.kp
         attributes["biasprm"] = _text(bias, -stiff, -servo.kd)
-        if smooth:
+        if smooth := servo.value("command_filter", "time_constant_s"):
             attributes |= {"dyntype": "filterexact", "dynprm": _text(smooth), "actearly": "true"}
         SubElement(section, "general", attributes)
         return []
@@ -277,10 +247,8 @@ def _motor(servo: Actuator, section: Element) -> list[LeftOut]:
     if slew := servo.value("rate_limit", "limit_rad_s"):
         attributes["slewmax"] = _text(slew)
     SubElement(section, "pid", attributes)
-    lost = [f"command_filter ({smooth:.6g} s)"] if smooth else []
-    lost += [f"a constant torque of {bias:.6g} N m"] if bias else []
     why = "not with integral action or a rate limit: a pid has neither filter nor bias"
-    return [LeftOut(servo.joint, what, why) for what in lost]
+    return [LeftOut(servo.joint, f"a constant torque of {bias:.6g} N m", why)] if bias else []
 
 
 def _constant_torque(servo: Actuator) -> float:
@@ -329,14 +297,6 @@ def _passive(servo: Actuator, section: Element) -> list[LeftOut]:
         why = f"bristles yield {give:.2g} rad before slip; a shorter timestep allows less"
         return [LeftOut(servo.joint, "rigid sticking of stribeck_friction", why)]
     return []
-
-
-def _sensor(servo: Actuator, section: Element) -> None:
-    name = f"{servo.joint}_position"
-    if servo.effects.keys() & {*TRAINS, "sensor_gain"}:
-        SubElement(section, "tendonpos", name=name, tendon=f"{servo.joint}_seen")
-    else:
-        SubElement(section, "jointpos", name=name, joint=servo.joint)
 
 
 def _offset(servo: Actuator) -> float:

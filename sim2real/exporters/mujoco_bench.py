@@ -14,14 +14,7 @@ from sim2real.arrays import Array
 from sim2real.errors import InputError, library
 from sim2real.exporters.actuator import SATURATION, Export
 from sim2real.exporters.mujoco import INTEGRATOR, TIMESTEP_S, expressed, mujoco
-from sim2real.exporters.nearest import (
-    FittingData,
-    Nearest,
-    Which,
-    fitting_data,
-    nearest,
-    rollout_error,
-)
+from sim2real.exporters.nearest import Nearest, Which, fitting_data, nearest, rollout_error
 from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording
@@ -36,64 +29,58 @@ BRISTLES = frozenset({"presliding_friction", "stribeck_friction"})
 
 
 def simulate(
-    xml: str,
+    robot: Any,  # noqa: ANN401 - text, or MuJoCo's own type
     t: Array,
     command: Mapping[str, Array],
     start: Mapping[str, float] | None = None,
     *,
     integrator: str | None = None,
     timestep_s: float | None = None,
+    drives: Mapping[str, str] | None = None,
 ) -> dict[str, Array]:
     """Simulated sensor angles in rad (T,) by joint, of an exported model for given commands.
 
-    Times ``t`` in s and set-points in rad are of shape (T,), without NaN. The model starts at rest
+    The robot is the text of an exported model, or compiled; it starts from its first keyframe, if
+    any. Times ``t`` in s and set-points in rad are of shape (T,), without NaN. Joints start at rest
     on the first set-points, or at the angles ``start``; integrator (``"Euler"``, ...) and time step
-    are by default the model's. ``InputError`` if MuJoCo is not installed or the model lacks a
-    joint.
+    are by default the model's. ``drives`` are names of actuators that differ from their joint's.
+    ``InputError`` if MuJoCo is not installed or the model lacks a joint.
     """
     mj = library("mujoco", "mujoco")
-    model = mj.MjModel.from_xml_string(xml)
+    model = mj.MjModel.from_xml_string(robot) if isinstance(robot, str) else robot
     if integrator is not None:
         model.opt.integrator = getattr(mj.mjtIntegrator, f"mjINT_{integrator.upper()}")
-    if timestep_s is not None:
-        model.opt.timestep = timestep_s
-    return simulated(model, t, command, start)
-
-
-def simulated(
-    model: Any,  # noqa: ANN401 - MuJoCo's own type
-    t: Array,
-    command: Mapping[str, Array],
-    start: Mapping[str, float] | None = None,
-    drives: Mapping[str, str] | None = None,
-) -> dict[str, Array]:
-    """`simulate` of a compiled model from its first keyframe, if any.
-
-    ``drives`` are names of actuators that differ from their joint's.
-    """
-    mj = library("mujoco", "mujoco")
+    step_s = model.opt.timestep = timestep_s or model.opt.timestep
     data = mj.MjData(model)
     if model.nkey:
         mj.mj_resetDataKeyframe(model, data, 0)
     joints = [model.sensor(k).name.removesuffix("_position") for k in range(model.nsensor)]
-    for joint in command:
-        if joint not in joints:
-            raise InputError("commands", joint, "no such joint", f"one of {', '.join(joints)}")
-    since = (t - t[0]) / model.opt.timestep
+    since = (t - t[0]) / step_s
     ticks = np.arange(math.ceil(since[-1]) + 1)
     # Before MuJoCo 4 every actuator has one set-point.
     addresses = getattr(model, "actuator_ctrladr", np.arange(model.nu))
     controls = {}
     for joint, values in command.items():
-        drive = model.actuator((drives or {}).get(joint, joint))
-        actuator = drive.id
-        delay = float(model.actuator_delay[actuator]) / model.opt.timestep
+        if joint not in joints:
+            raise InputError("commands", joint, "no such joint", f"one of {', '.join(joints)}")
+        drive, first = model.actuator((drives or {}).get(joint, joint)), float(values[0])
+        delay_s = float(model.actuator_delay[drive.id])
         # MuJoCo delays by whole ticks; the integrator uses the speed at the end of a step, which
         # is half a step early.
+        delay = delay_s / step_s
         beyond = delay - math.ceil(delay - 1e-6) + 0.5
         active = np.searchsorted(np.rint(since + beyond), ticks, side="right") - 1
-        controls[int(addresses[actuator])] = np.asarray(values, float)[np.maximum(active, 0)]
-        _rest(mj, model, data, (joint, drive), float(values[0]), (start or {}).get(joint))
+        controls[int(addresses[drive.id])] = np.asarray(values, float)[np.maximum(active, 0)]
+        place = model.joint(joint).qposadr[0]
+        data.qpos[place] = model.qpos0[place] + (start or {}).get(joint, first)
+        # a filter or rate limit has its set-point as state; an integral, the last state, is 0
+        slews = model.actuator_dynprm[drive.id][1] > 0
+        if drive.actnum[0] and (slews or drive.dyntype[0] == int(mj.mjtDyn.mjDYN_FILTEREXACT)):
+            data.act[drive.actadr[0]] = first
+        if delay_s > 0:
+            samples = int(model.actuator_history[drive.id][0])
+            times = step_s * np.arange(-samples, 0)
+            mj.mj_initCtrlHistory(model, data, drive.id, times, np.full(samples, first))
     sensors = {joint: model.sensor(f"{joint}_position").adr[0] for joint in command}
     angles = {joint: np.empty(ticks.size) for joint in command}
     for tick in ticks:
@@ -104,29 +91,6 @@ def simulated(
             angles[joint][tick] = data.sensordata[address]
         mj.mj_step2(model, data)
     return {joint: np.interp(since, ticks, values) for joint, values in angles.items()}
-
-
-def _rest(
-    mj: Any,  # noqa: ANN401 - MuJoCo's own types
-    model: Any,  # noqa: ANN401
-    data: Any,  # noqa: ANN401
-    servo: tuple[str, Any],
-    command: float,
-    angle: float | None,
-) -> None:
-    """Set a joint and the state of its actuator to rest on its first set-point."""
-    joint, actuator = servo
-    angle_address = model.joint(joint).qposadr[0]
-    data.qpos[angle_address] = model.qpos0[angle_address] + (command if angle is None else angle)
-    # A filter or rate limit has its set-point as state; an integral, the last state, starts at 0.
-    address, count = int(actuator.actadr[0]), int(actuator.actnum[0])
-    slews = model.actuator_dynprm[actuator.id][1] > 0
-    if count and (slews or int(actuator.dyntype[0]) == int(mj.mjtDyn.mjDYN_FILTEREXACT)):
-        data.act[address] = command
-    if model.actuator_delay[actuator.id] > 0:
-        samples = int(model.actuator_history[actuator.id][0])
-        times = model.opt.timestep * np.arange(-samples, 0)
-        mj.mj_initCtrlHistory(model, data, actuator.id, times, np.full(samples, command))
 
 
 @dataclass(frozen=True)
@@ -155,7 +119,7 @@ def mujoco_export(
     recordings: Sequence[Recording] = (),
     robot: Robot | None = None,
     which: Which = "nearest",
-) -> tuple[Export, Nearest, tuple[Agreement, ...]]:
+) -> tuple[Export, Nearest, list[Agreement]]:
     """Export a model to MuJoCo, refitted without the effects that MuJoCo lacks, see `nearest`.
 
     If MuJoCo is installed, the file is simulated, at the time steps of ``CASES`` as well, and the
@@ -174,22 +138,17 @@ def mujoco_export(
         costly=(SATURATION,),
         error=mujoco_error if installed else rollout_error,
     )
-    agreement = tuple(
-        _agreement(name, result.model.joints[name], fitting_data(name, joint, recordings, robot))
-        for name, joint in (model.joints.items() if installed else ())
-    )
+    agreement, names = [], ("integrator", "timestep_s", "error_rad")
+    for name, joint in model.joints.items() if installed else ():
+        data, found = fitting_data(name, joint, recordings, robot), result.model.joints[name]
+        traces, what = data.own, "the full model"
+        if data.scored:
+            traces, what = data.scored, f"{data.held_out}, held out"
+        rows = [(*case, mujoco_error(found, name, traces, *case)) for case in CASES]
+        coarse = [dict(zip(names, row, strict=True)) for row in rows]
+        agreement.append(Agreement(name, mujoco_error(found, name, traces), what, coarse))
     remarks = [str(one) for one in agreement]
     return mujoco(result.model, robot, result.dropped, remarks), result, agreement
-
-
-def _agreement(name: str, joint: JointModel, data: FittingData) -> Agreement:
-    traces, what = data.own, "the full model"
-    if data.scored:
-        traces, what = data.scored, f"{data.held_out}, held out"
-    names = ("integrator", "timestep_s", "error_rad")
-    errors = [(*case, mujoco_error(joint, name, traces, *case)) for case in CASES]
-    coarse = [dict(zip(names, one, strict=True)) for one in errors]
-    return Agreement(name, mujoco_error(joint, name, traces), what, coarse)
 
 
 def mujoco_error(
@@ -203,11 +162,10 @@ def mujoco_error(
     errors = []
     for trace in traces:
         bench = joint if joint.per_inertia else replace(joint, load=trace.load)
-        text, command = mujoco(Model({name: bench})).text, {name: trace.command}
+        text = mujoco(Model({name: bench})).text
         start = {name: float(trace.position[np.isfinite(trace.position)][0])}
-        angle = simulate(
-            text, trace.t, command, start, integrator=integrator, timestep_s=timestep_s
-        )
+        sent, step = {name: trace.command}, timestep_s
+        angle = simulate(text, trace.t, sent, start, integrator=integrator, timestep_s=step)
         errors.append((angle[name] - trace.position)[trace.used])
     error = rms(errors)
     return error if np.isfinite(error) else float("inf")

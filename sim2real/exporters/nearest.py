@@ -36,9 +36,6 @@ NEGLIGIBLE_RAD = 1e-4
 count of a 12-bit encoder."""
 BETTER = 0.99
 """Largest error of a model, relative to that of another, for it to be preferred."""
-STICKS = SOFT[0]
-"""Time in which dry friction stops the shaft: a parameter of the motor."""
-_LONGEST_STICK_S = 1.0
 _DRY, _PLAIN = "coulomb_friction", "plain"
 Which = Literal["nearest", "effects", "plain"]
 """Models that can be chosen: the one with the smaller error, with effects, or without any."""
@@ -138,44 +135,30 @@ def nearest(
     torque-speed line if no motion reaches them. ``InputError`` if the model has an unknown effect.
     """
     joints, found = dict(model.joints), Nearest(model)
+    saturation = {SATURATION, BEYOND_LIMIT}
     for name, joint in model.joints.items():
         has = expressed(joint)
         lost = _lost(joint, has)
-        if not lost and not any(_replaceable(fitted.effect) for fitted in joint.effects):
+        every = lost | {e.effect for e in joint.effects if _replaceable(e.effect)}
+        if not every:
             continue
         data = fitting_data(name, joint, recordings, robot)
-        drops, still = _drops(joint, lost, data, rough, costly)
-        one = _Task(name, joint, data, still, STICKS in has).best(drops, which, error)
+        line = {key for key in LINE if joint.motor.get(key.removeprefix("motor."))}
+        still = {x for x in every - line if _moves(data, joint, x) < NEGLIGIBLE_RAD}
+        drops = {"as far as expressed": lost}
+        if lost & saturation and line:  # a target with one limit may have that of the current
+            drops["current limit"] = lost - saturation | line
+        drops |= {"without rough effects": lost | every & set(rough), _PLAIN: every}
+        different: dict[frozenset[str], str] = {}
+        for kind, dropped in drops.items():
+            different.setdefault(frozenset(dropped - still), kind)
+        unreached = still & set(costly) if line else set()
+        drops = {kind: drops[kind] | unreached for kind in different.values()}
+        one = _Task(name, joint, data, still, SOFT[0] in has).best(drops, which, error)
         joints |= one.model.joints
-        dropped, refits = found.dropped + one.dropped, found.refits + one.refits
-        found = Nearest(model, dropped, refits, found.compared + one.compared)
+        lines, refits = found.dropped + one.dropped, found.refits + one.refits
+        found = Nearest(model, lines, refits, found.compared + one.compared)
     return replace(found, model=replace(model, joints=joints))
-
-
-def _drops(
-    joint: JointModel,
-    lost: set[str],
-    data: FittingData,
-    rough: Collection[str],
-    costly: Collection[str],
-) -> tuple[dict[str, set[str]], set[str]]:
-    """Parts that models lack, the last of them ``plain``, and those that hardly move the joint."""
-    effects = {fitted.effect for fitted in joint.effects}
-    line = {name for name in LINE if joint.motor.get(name.removeprefix("motor."))}
-    drops = {"as far as expressed": lost}
-    saturation = {SATURATION, BEYOND_LIMIT}
-    if lost & saturation and line:  # a target with one limit may have that of the current
-        drops["current limit"] = lost - saturation | line
-    if effects & set(rough):
-        drops["without rough effects"] = lost | effects & set(rough)
-    drops[_PLAIN] = lost | {effect for effect in effects if _replaceable(effect)}
-    parts = set().union(*drops.values()) - line
-    still = {part for part in parts if _moves(data, joint, part) < NEGLIGIBLE_RAD}
-    unreached = still & set(costly) if line else set()
-    different: dict[frozenset[str], str] = {}
-    for kind, dropped in drops.items():
-        different.setdefault(frozenset(dropped - still), kind)
-    return {kind: drops[kind] | unreached for kind in different.values()}, still
 
 
 @dataclass(frozen=True)
@@ -200,11 +183,8 @@ class _Task:
             made[kind] = self.without(dropped, dry=kind != _PLAIN)
             if len(drops) == 1:
                 return made[kind]
-            (servo,), motions = (
-                made[kind].model.joints.values(),
-                self.data.fitted + self.data.scored,
-            )
-            errors[kind] = error(servo, self.name, motions)
+            (servo,) = made[kind].model.joints.values()
+            errors[kind] = error(servo, self.name, self.data.fitted + self.data.scored)
             if errors[kind] < NEGLIGIBLE_RAD and which != _PLAIN:
                 return made[kind]
         best, *others = (kind for kind in drops if kind != _PLAIN)
@@ -219,7 +199,7 @@ class _Task:
 
     def without(self, dropped: set[str], *, dry: bool) -> Nearest:
         """A joint without some parts; the rotor of a lost gear train turns with the load."""
-        joint, data, lines = self.joint, self.data, []
+        joint, data, lines = self.joint, self.data, list[LeftOut]()
         if SATURATION in dropped & self.still and joint.motor.get("stall_torque_Nm"):
             why = "no motion of the recordings or the standard excitation reaches it"
             lines.append(LeftOut(self.name, _shown(joint, SATURATION), why))
@@ -231,10 +211,10 @@ class _Task:
         lines += [LeftOut(self.name, _shown(joint, part), why) for part in replaced]
         moving, load = without(joint, self.still), data.own[0].load
         reduced = without(moving, replaced)
-        row = self._refitted(reduced, dry=dry).row
+        row = self._refitted(reduced, dropped, dry=dry).row
         value = dict(zip(COLUMNS, row.tolist(), strict=True))
-        names = [effect.effect for effect in reduced.effects]
-        names += [_DRY] if value[f"{_DRY}.torque_Nm"] > 0 and _DRY not in names else []
+        names = dict.fromkeys(effect.effect for effect in reduced.effects)
+        names |= {_DRY: None} if value[f"{_DRY}.torque_Nm"] > 0 else {}
         effects = [
             FittedEffect(name, {p.name: value[f"{name}.{p.name}"] for p in named(name).parameters})
             for name in names
@@ -249,7 +229,7 @@ class _Task:
         cost = Refit(self.name, tuple(replaced), full_rad, dropped_rad, recorded, data.held_out)
         return Nearest(Model({self.name: servo}), tuple(lines), (cost,))
 
-    def _refitted(self, joint: JointModel, *, dry: bool) -> Fit:
+    def _refitted(self, joint: JointModel, lost: set[str], *, dry: bool) -> Fit:
         """A joint fitted to the data, with ``dry`` also with further friction if that is better."""
         data, load = self.data, self.data.own[0].load
         start = joint_row(joint, load)
@@ -258,8 +238,9 @@ class _Task:
         for key in (key for key, value in joint.motor.items() if value):
             size = float(start[COLUMNS.index(f"motor.{key}")])
             free.append(Parameter(f"motor.{key}", 0.1 * size, 10 * size, size))
-        if data.scored:  # the recordings may not reach the limits, as those of the full model may
-            free = [p for p in free if p.name not in {*LINE, CURRENT_LIMIT, BEYOND_LIMIT}]
+        # the recordings may not reach the limits, as those of the full model may
+        fixed = {*lost, *((*LINE, CURRENT_LIMIT, BEYOND_LIMIT) if data.scored else ())}
+        free = [p for p in free if p.name not in fixed]
         best = fit(ServoProblem(data.fitted, start, tuple(free)), start[None], first=40)
         stages: list[tuple[Parameter, list[float]]] = []
         families = {named(fitted.effect).family for fitted in joint.effects}
@@ -268,10 +249,10 @@ class _Task:
             (added,) = of_effects([friction], best.row, load.inertia_kgm2)
             size = scaled(friction.parameters[0], float(best.row[0]), load.inertia_kgm2).typical
             stages.append((added, [0.3 * size, size, 3 * size]))
-        if dry and self.soft and not joint.motor.get(STICKS.removeprefix("motor.")):
+        if dry and self.soft and not joint.motor.get("stick_time_s"):
             settles = load.inertia_kgm2 / max(float(best.row[1]), 1e-9)
             for name, least in zip(SOFT, (0.3, 0.1), strict=True):
-                added = Parameter(name, 0.0, _LONGEST_STICK_S, 0.5 * settles)
+                added = Parameter(name, 0.0, 1.0, 0.5 * settles)
                 stages.append((added, [least * settles, settles]))
         candidate = best
         for added, sizes in stages:
@@ -331,9 +312,9 @@ def _moves(data: FittingData, joint: JointModel, part: str) -> float:
     """RMS change in rad by one part, the larger of standard excitation and recordings."""
     rows = [joint_row(one, data.own[0].load) for one in (joint, without(joint, {part}))]
     changes = []
-    for motions in (data.own, [*data.fitted, *data.scored] if data.scored else []):
+    for motions in (data.own, data.fitted + data.scored) if data.scored else (data.own,):
         full, reduced = (errors_of(row, motions) for row in rows)
-        changes.append(rms([a - b for a, b in zip(full, reduced, strict=True)]) if full else 0.0)
+        changes.append(rms([a - b for a, b in zip(full, reduced, strict=True)]))
     return max(changes)
 
 
@@ -347,9 +328,9 @@ def fitting_data(
     # the load that the gains of the model refer to, or that of the model where none is stated
     data = traces(recordings, name)
     if load := PER_INERTIA if joint.per_inertia else joint.load:
-        stated_too = not joint.per_inertia
+        own_loads = not joint.per_inertia
         data = [
-            x if stated_too and x.load is not PER_INERTIA else replace(x, load=load) for x in data
+            x if own_loads and x.load is not PER_INERTIA else replace(x, load=load) for x in data
         ]
     return FittingData(own, *(split(data, None) if data else (own, [], "")))
 

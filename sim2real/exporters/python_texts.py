@@ -21,19 +21,15 @@ def numbers(**values: float | None) -> dict[str, str]:
 
 def _called(name: str, fields: Mapping[str, str]) -> str:
     """A call with keyword arguments as an entry of a list, two levels deep."""
-    return (
-        f"{name}(\n"
-        + "".join(f"            {n}={x},\n" for n, x in fields.items())
-        + "        ),\n"
-    )
+    lines = "".join(f"            {n}={x},\n" for n, x in fields.items())
+    return f"{name}(\n{lines}        ),\n"
 
 
 def _steps(servo: Actuator, low: str, high: str) -> dict[str, str]:
-    """Delays in whole physics steps."""
-    return {
-        name: f"round({delay:.9g} / physics_dt)"
-        for name, delay in zip((low, high), servo.delays, strict=True)
-    }
+    """Shortest and longest delay, with ``latency_jitter``, in whole physics steps."""
+    spread = servo.value("latency_jitter", "halfwidth_s")
+    ends = {low: max(servo.latency - spread, 0.0), high: servo.latency + spread}
+    return {name: f"round({delay:.9g} / physics_dt)" for name, delay in ends.items()}
 
 
 DELAYED_MOTOR = '''from isaaclab.actuators import (
@@ -59,6 +55,14 @@ class DelayedDCMotorCfg(DCMotorCfg):
 '''
 
 
+ISAACLAB = '''
+
+def actuators(physics_dt):
+    """For ArticulationCfg.actuators; physics_dt is SimulationCfg.dt, in s."""
+    return {
+'''
+
+
 def isaaclab_text(servos: Sequence[Actuator]) -> str:
     """``actuators(physics_dt)``, a dictionary of configurations.
 
@@ -81,10 +85,8 @@ def isaaclab_text(servos: Sequence[Actuator]) -> str:
         if sticking > 0:
             fields |= numbers(friction=sticking, dynamic_friction=sliding)
         entries += f"        {servo.joint!r}: " + _called(kind, fields)
-    text = DELAYED_MOTOR if lines else "from isaaclab.actuators import DelayedPDActuatorCfg\n"
-    text += "\n\ndef actuators(physics_dt):\n"
-    text += '    """For ArticulationCfg.actuators; physics_dt is SimulationCfg.dt, in s."""\n'
-    return f"{text}    return {{\n{entries}    }}\n"
+    classes = DELAYED_MOTOR if lines else "from isaaclab.actuators import DelayedPDActuatorCfg\n"
+    return f"{classes}{ISAACLAB}{entries}    }}\n"
 
 
 BAM = '''from isaaclab.actuators.actuator_bam_cfg import BamActuatorCfg, BamMotorCfg
@@ -141,10 +143,7 @@ def bam_text(servos: Sequence[Actuator]) -> str:
         entry |= numbers(actuator_effort_limit=2 * stall)  # braking adds the back-EMF
         if sag := servo.value("voltage_sag", "loss_at_full_load"):
             gain = 2 * sag / servo.kp
-            entry |= {
-                "vin_drop_gain_range": f"({gain:.9g}, {gain:.9g})",
-                **numbers(vin_min=1 - sag),
-            }
+            entry |= {"vin_drop_gain_range": f"({gain:.9g}, {gain:.9g})"} | numbers(vin_min=1 - sag)
         entry |= _steps(servo, "min_delay", "max_delay") | numbers(armature=servo.armature)
         if servo.value("backlash", "control_on_output"):
             entry["backlash_joint_template"] = repr(PLAY)
@@ -178,13 +177,8 @@ def mjlab_text(servos: Sequence[Actuator]) -> str:
     entries, stops = "", ""
     for servo in servos:
         fields = {"target_names_expr": repr((re.escape(servo.joint),))}
-        fields |= numbers(
-            stiffness=servo.kp,
-            damping=servo.kd,
-            viscous_damping=servo.back_emf,
-            armature=servo.armature,
-            frictionloss=servo.friction,
-        )
+        fields |= numbers(stiffness=servo.kp, damping=servo.kd, viscous_damping=servo.back_emf)
+        fields |= numbers(armature=servo.armature, frictionloss=servo.friction)
         fields |= _steps(servo, "delay_min_lag", "delay_max_lag")
         fields |= numbers(effort_limit=servo.stall_torque)
         entries += "        " + _called("BuiltinPositionActuatorCfg", fields)
@@ -202,7 +196,8 @@ def add_actuators(builder, physics_dt):
     """Actuators of a newton.ModelBuilder, to be called before finalize; physics_dt in s.
 
     With MuJoCo's solver, call SolverMuJoCo.register_custom_attributes(builder) before the robot is
-    added, so that friction stops the joints as identified: it is soft by default.
+    added, so that friction stops the joints as identified: it is soft by default. A drive acts with
+    the speed at the start of a step: half a step of damping in the armature makes it the mean.
     """
     soft = builder.custom_attributes
     for number, label in enumerate(builder.joint_label):
@@ -211,7 +206,8 @@ def add_actuators(builder, physics_dt):
             continue
         dof = builder.joint_qd_start[number]
         builder.joint_target_ke[dof] = builder.joint_target_kd[dof] = 0.0
-        builder.joint_armature[dof] = values["armature"]
+        half_step = 0.5 * physics_dt * values["unlimited_kd"]
+        builder.joint_armature[dof] = values["armature"] + half_step
         builder.joint_friction[dof] = values["friction"]
         if "mujoco:solreffriction" in soft:
             time_constant, impedance = values["stop"]
@@ -252,13 +248,9 @@ def newton_text(servos: Sequence[Actuator]) -> str:
         clamp, limits = _clamping(servo)
         used |= {clamp} if limits else set()
         shown = ", ".join(f'"{name}": {value}' for name, value in limits.items())
-        fields = numbers(
-            kp=servo.kp,
-            kd=servo.kd + servo.back_emf,
-            latency_s=servo.latency,
-            armature=servo.armature,
-            friction=servo.friction,
-        )
+        fields = numbers(kp=servo.kp, kd=servo.kd + servo.back_emf, latency_s=servo.latency)
+        fields |= numbers(unlimited_kd=servo.unlimited_damping)
+        fields |= numbers(armature=servo.armature, friction=servo.friction)
         body = "".join(f'        "{name}": {value},\n' for name, value in fields.items())
         body += '        "stop": ({:.9g}, {:.9g}),'.format(*servo.stop())
         body += "  # time constant in s and impedance\n"
@@ -320,7 +312,8 @@ USD_SERVO = """    def Xform "{name}_link" (
 def usd_text(servos: Sequence[Actuator], comments: str) -> str:
     """A USD file with a bench: an inertia on each joint, and a ``NewtonActuator`` that turns it.
 
-    Delays are in steps of the file's ``PhysicsScene``, of ``1 / USD_STEPS_PER_S``.
+    Delays, and half a step of damping in the armature (see ``NEWTON``), are for steps of the file's
+    ``PhysicsScene``, of ``1 / USD_STEPS_PER_S``.
     """
     text = ""
     for servo in servos:
@@ -341,7 +334,7 @@ def usd_text(servos: Sequence[Actuator], comments: str) -> str:
             attributes="".join(f"        {line}\n" for line in lines),
             **numbers(
                 inertia=servo.inertia + servo.beyond_load - servo.armature,
-                armature=servo.armature,
+                armature=servo.armature + 0.5 * servo.unlimited_damping / USD_STEPS_PER_S,
                 friction=servo.friction,
                 time_constant=stop[0],
                 impedance=stop[1],
@@ -363,15 +356,11 @@ def set_actuators(entity):
 
 def genesis_text(servos: Sequence[Actuator]) -> str:
     """``set_actuators(entity)``, to be called after the scene is built."""
-    values = {
-        "kp": [servo.kp for servo in servos],
-        "kv": [servo.kd for servo in servos],
-        "damping": [servo.back_emf for servo in servos],
-        "armature": [servo.armature for servo in servos],
-        "frictionloss": [servo.friction for servo in servos],
-    }
-    calls = {name: ", ".join(f"{x:.9g}" for x in numbers) for name, numbers in values.items()}
-    limits = [servo.stall_torque for servo in servos]
+    names = ("kp", "kv", "damping", "armature", "frictionloss")
+    rows = [(x.kp, x.kd, x.back_emf, x.armature, x.friction) for x in servos]
+    columns = [", ".join(f"{x:.9g}" for x in column) for column in zip(*rows, strict=True)]
+    calls = dict(zip(names, columns, strict=True))
+    limits = [x.stall_torque for x in servos]
     if any(limit is not None for limit in limits):
         upper = ["float('inf')" if limit is None else f"{limit:.9g}" for limit in limits]
         lower = ["-float('inf')" if limit is None else f"{-limit:.9g}" for limit in limits]

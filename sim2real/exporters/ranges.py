@@ -55,29 +55,24 @@ def terms(ranges: Ranges) -> list[Term]:
 
     Friction and rotor of a motor are those of the effects, unless the joint has these as well.
     """
-    found = [_term(entry) for entry in ranges.entries]
+    effects, found = {effect.name for effect in CATALOGUE}, []
+    for entry in ranges.entries:
+        first, _, tail = entry.parameter.partition(".")
+        before, _, parameter = entry.parameter.rpartition(".")
+        joint, _, effect = before.rpartition(".")
+        if not before or first in effects:
+            found.append(Term(SHARED, entry.parameter, entry))
+        elif first == "body":
+            found.append(Term(first, tail, entry))
+        elif effect in {*effects, "motor"}:
+            found.append(Term(joint, f"{effect}.{parameter}", entry))
+        else:
+            found.append(Term(before, parameter, entry))
     taken = {(term.joint, term.quantity) for term in found}
     names = {f"motor.{key}": f"{effect}.{name}" for key, effect, name in MOTOR_TERMS}
-    return [
-        replace(term, quantity=names[term.quantity])
-        if term.quantity in names and (term.joint, names[term.quantity]) not in taken
-        else term
-        for term in found
-    ]
-
-
-def _term(entry: Range) -> Term:
-    effects = {effect.name for effect in CATALOGUE}
-    first, dot, tail = entry.parameter.partition(".")
-    if not dot or first in effects:
-        return Term(SHARED, entry.parameter, entry)
-    if first == "body":
-        return Term(first, tail, entry)
-    before, _, parameter = entry.parameter.rpartition(".")
-    joint, _, effect = before.rpartition(".")
-    if effect in {*effects, "motor"}:
-        return Term(joint, f"{effect}.{parameter}", entry)
-    return Term(before, parameter, entry)
+    renamed = [replace(term, quantity=names.get(term.quantity, term.quantity)) for term in found]
+    pairs = zip(found, renamed, strict=True)
+    return [old if (new.joint, new.quantity) in taken else new for old, new in pairs]
 
 
 def _delays(all_terms: list[Term]) -> tuple[dict[str, tuple[float, float]], list[LeftOut]]:
@@ -163,10 +158,9 @@ class RangesTarget:
             if together and term.quantity in (KP, KD):
                 gains.setdefault(term.joint, {})[term.quantity] = term
             else:
-                normal = term.range.distribution == "normal"
-                ends = term.range.first, term.range.second
-                distribution = self.normal if normal else "uniform"
-                rows += term.row(self.fields[term.quantity], distribution, ends)
+                one = term.range
+                shape = self.normal if one.distribution == "normal" else "uniform"
+                rows += term.row(self.fields[term.quantity], shape, (one.first, one.second))
         for joint, both in gains.items():
             if len(both) < 2:
                 lines += [term.left_out(self.name) for term in both.values()]

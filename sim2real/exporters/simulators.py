@@ -11,7 +11,6 @@ from xml.etree.ElementTree import Element, SubElement
 from sim2real.effects import CATALOGUE
 from sim2real.errors import InputError
 from sim2real.exporters.actuator import (
-    BEYOND_LIMIT,
     SATURATION,
     Actuator,
     Export,
@@ -26,10 +25,9 @@ from sim2real.exporters.actuator import (
 )
 from sim2real.exporters.casadi_function import HAS as CASADI
 from sim2real.exporters.casadi_function import casadi_c_text, casadi_text
-from sim2real.exporters.costs import Cost, costs
 from sim2real.exporters.mujoco import HAS, expressed, mujoco, xml_text
 from sim2real.exporters.mujoco_bench import Agreement, mujoco_export
-from sim2real.exporters.nearest import Which, nearest
+from sim2real.exporters.nearest import Which, excitation, nearest, rollout_error
 from sim2real.exporters.python_texts import (
     PLAY,
     bam_text,
@@ -51,11 +49,7 @@ FRICTION_AND_ROTOR = ("coulomb_friction", "unmodelled_inertia")
 STEPS = ("fractions of a step of the latency", "a delay is a whole number of physics steps")
 INERTIA_ONLY = "the link here has inertia only"
 JITTER = "part of latency_jitter"
-ONE_LIMIT = (
-    f"damping beyond {SATURATION} ({{:.6g}} N m s/rad)",
-    "the limit at any speed is that of the whole torque",
-)
-
+EACH_STEP = "the delay is drawn at each physics step, not for each set-point"
 
 Lines = Sequence[LeftOut]
 Text = Callable[[Sequence[Actuator], Robot | None, Lines], str]
@@ -63,12 +57,11 @@ Text = Callable[[Sequence[Actuator], Robot | None, Lines], str]
 
 def _of_the_link(servo: Actuator) -> list[LeftOut]:
     """Inertia that a target with an armature leaves to the link."""
-    load = f"inertia of the load ({servo.inertia:.6g} kg m2)"
-    lines = [LeftOut(servo.joint, load, "it belongs to the link")]
+    lines, load = [], f"inertia of the load ({servo.inertia:.6g} kg m2)"
     if servo.beyond_load < 0:
         why = "an armature cannot be negative; subtract it from the link's inertia"
-        lines.insert(0, LeftOut(servo.joint, "unmodelled_inertia", why))
-    return lines
+        lines.append(LeftOut(servo.joint, "unmodelled_inertia", why))
+    return [*lines, LeftOut(servo.joint, load, "it belongs to the link")]
 
 
 @dataclass(frozen=True)
@@ -78,7 +71,7 @@ class Target:
     name: str  # in sentences
     text: Text  # of servos, the robot or None as source of limits, and lines to be listed
     has: Sequence[str] = FRICTION_AND_ROTOR  # effects of the catalogue, ``motor.NAME``
-    # of ``latency``, ``BEYOND_LIMIT`` and effects that it expresses in part: what it lacks, and why
+    # of ``latency`` and effects that it expresses in part: what it lacks, and why
     partly: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     lacks: Mapping[str, str] = field(default_factory=dict)  # why it lacks an effect, see `LACKS`
     damping: str = ""  # name of a drive's damping, if it is apart from the back-EMF
@@ -99,8 +92,7 @@ class Target:
                 lines += moved
             servos.append(servo)
             lines += left_out(servo, self.name, self.has, self.lacks)
-            beyond = servo.damping_beyond if servo.current_limit is not None else 0.0
-            values = {"latency": servo.latency, BEYOND_LIMIT: beyond, **servo.effects}
+            values = {"latency": servo.latency, **servo.effects}
             for part, (what, why) in self.partly.items():
                 if values.get(part):
                     lines.append(LeftOut(servo.joint, what.format(values[part]), why))
@@ -188,10 +180,8 @@ def _not_in_bam(servo: Actuator) -> list[LeftOut]:
         lines.append(LeftOut(servo.joint, what, why))
     slow = servo.motor.get("stribeck_speed_rad_s", 0.0)
     if slow and servo.value("stribeck_friction", "velocity_rad_s") not in (0.0, slow):
-        what = f"motor.stribeck_speed_rad_s ({slow:.6g})"
-        lines.append(
-            LeftOut(servo.joint, what, "all friction falls at the one of stribeck_friction")
-        )
+        what, why = f"motor.stribeck_speed_rad_s ({slow:.6g})", "all friction falls at the one of "
+        lines.append(LeftOut(servo.joint, what, why + "stribeck_friction"))
     return lines
 
 
@@ -238,7 +228,6 @@ TARGETS: Mapping[str, Target | MuJoCo] = {
             "stribeck_friction": (
                 "velocity_rad_s of stribeck_friction", "friction drops as soon as the joint moves",
             ),
-            BEYOND_LIMIT: ONE_LIMIT,
         },
     ),
     "isaaclab-bam": Target(
@@ -251,9 +240,7 @@ TARGETS: Mapping[str, Target | MuJoCo] = {
         ),
         {
             "latency": STEPS,
-            "latency_jitter": (
-                JITTER, "the delay is drawn at each physics step, not for each set-point",
-            ),
+            "latency_jitter": (JITTER, EACH_STEP),
             "backlash": (
                 f"a hinge {PLAY.format('JOINT')} with play of {{0[gap_rad]:.6g}} rad",
                 "add it to the asset, between the joint's link and what that turns",
@@ -261,7 +248,6 @@ TARGETS: Mapping[str, Target | MuJoCo] = {
             "voltage_sag": (
                 "part of voltage_sag", "it follows the torque of the step before, back-EMF included"
             ),
-            BEYOND_LIMIT: ONE_LIMIT,
         },
         also=_not_in_bam,
     ),
@@ -269,29 +255,21 @@ TARGETS: Mapping[str, Target | MuJoCo] = {
         "mjlab",
         _python(mjlab_text),
         (*FRICTION_AND_ROTOR, "latency_jitter", *SOFT),
-        {
-            "latency": STEPS,
-            "latency_jitter": (
-                JITTER, "the delay is drawn at each physics step, not for each set-point",
-            ),
-        },
+        {"latency": STEPS, "latency_jitter": (JITTER, EACH_STEP)},
         damping="damping",
     ),
     "newton": Target(
         "Newton",
         _python(newton_text),
         (*FRICTION_AND_ROTOR, *SOFT, SATURATION),
-        {BEYOND_LIMIT: ONE_LIMIT, "latency": STEPS},
-        {
-            "backlash": "its processor for backlash is in no release yet",
-            "latency_jitter": "a delay is constant",
-        },
+        {"latency": STEPS},
+        {"latency_jitter": "a delay is constant"},
     ),
     "usd": Target(
         "Newton",
         lambda servos, _, lines: usd_text(servos, comment(head(lines))),
         (*FRICTION_AND_ROTOR, *SOFT, SATURATION),
-        {BEYOND_LIMIT: ONE_LIMIT, "latency": STEPS},
+        {"latency": STEPS},
         {"gravity_load": f"{INERTIA_ONLY}; add the weight to your link"},
         also=lambda servo: [],
     ),
@@ -341,3 +319,41 @@ def export_servos(
         differences = costs(fitted.model, whole_steps=whole, proportional=proportional)
     errors = {"compared": fitted.compared, "refitted": fitted.refits, "agreement": differences}
     return replace(export, errors=errors)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """RMS differences from the exported model on standard steps, a chirp and a triangle."""
+
+    joint: str
+    what: str
+    errors_rad: Mapping[str, float]  # by time step, or of all
+
+    def __str__(self) -> str:
+        """The differences in mrad."""
+        errors = (f"{1e3 * error:.2f} mrad RMS{at}" for at, error in self.errors_rad.items())
+        return f"{self.joint}: {self.what}: {', '.join(errors)}"
+
+
+def costs(model: Model, *, whole_steps: bool, proportional: bool) -> tuple[Cost, ...]:
+    """The cost of delays that are whole physics steps, and of a drive without damping of its own.
+
+    That damping is then the motor's, and the no-load speed the stall torque over the damping.
+    """
+    found = []
+    for name, joint in model.joints.items():
+        data, latency, kd = excitation(joint, name), joint.latency_s, joint.kd_Nms_per_rad
+        motor, changes = joint.motor, dict[str, dict[str, JointModel]]()
+        if whole_steps and latency > 0:
+            steps = {s: round(latency / s) * s for s in (0.001, 0.002, 0.005)}
+            changes[f"delay of {1e3 * latency:.1f} ms as whole physics steps"] = {
+                f" at {1e3 * s:g} ms": replace(joint, latency_s=x) for s, x in steps.items()
+            }
+        stall = motor.get("stall_torque_Nm", 0.0)
+        if proportional and stall * motor.get("no_load_speed_rad_s", 0.0) * kd > 0:
+            line = {**motor, "no_load_speed_rad_s": stall / kd}
+            changes["damping of the drive added to the back-EMF"] = {"": replace(joint, motor=line)}
+        for what, changed in changes.items():
+            errors = {at: rollout_error(one, name, data) for at, one in changed.items()}
+            found.append(Cost(name, what, errors))
+    return tuple(found)

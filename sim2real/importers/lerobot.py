@@ -48,8 +48,12 @@ def read_lerobot(
     episode or a joint is invalid.
     """
     root = Path(path)
-    info = Fields(root / "meta" / "info.json", "", read_json(root / "meta" / "info.json"))
-    index = _episode(info, episode)
+    info, total = _info(root)
+    if episode is None and total > 1:
+        raise InputError("--episode", "", "nothing", f"one of the {total} episodes, from 0")
+    index = episode or 0
+    if not 0 <= index < total:
+        raise InputError("--episode", "", str(index), f"0 to {total - 1}")
     file = _data_file(root, info, index)
     frames = _read(file, ["timestamp", STATE, ACTION], index)
     if (rows := len(frames["timestamp"])) < 2:
@@ -58,7 +62,6 @@ def read_lerobot(
     chosen = tuple(joints) if joints else tuple(n for n in names[STATE] if n in names[ACTION])
     if len(set(chosen)) != len(chosen):
         raise InputError("--joints", "", ", ".join(chosen), "each joint once")
-    conversion.check_joints(chosen)
     t = frames["timestamp"] - frames["timestamp"][0]
     check_increasing(file, t, "timestamp, frame {}", 0)
     angles, warnings = {}, []
@@ -69,26 +72,19 @@ def read_lerobot(
                 raise InputError(info.file, feature, f"no {joint}", expected)
         values = frames[feature]
         if values.ndim != 2 or values.shape[1] < len(available):
-            shape = " x ".join(str(n) for n in values.shape)
-            expected = f"{len(available)} in each frame"
-            raise InputError(file, feature, f"values of shape {shape}", expected)
-        columns = [
-            conversion.radians(joint, QUANTITY[feature], values[:, available.index(joint)], file)
-            for joint in chosen
-        ]
-        angles[feature] = np.stack(columns, axis=1)
+            found = f"values of shape {' x '.join(map(str, values.shape))}"
+            raise InputError(file, feature, found, f"{len(available)} in each frame")
+        values = values[:, [available.index(joint) for joint in chosen]]
+        angles[feature] = conversion.radians(chosen, QUANTITY[feature], values, file)
         if left := [joint for joint in available if joint not in chosen]:
             warnings.append(f"{feature} of {', '.join(left)} is not read.")
     if not np.isfinite(angles[ACTION]).all():
         raise InputError(file, ACTION, "a missing value", "a set-point at every frame")
     features = info.table("features")
-    numbers = [
-        str(name)
-        for name in features.content
-        if name not in (*QUANTITY, *INDICES)
-        and str(features.table(name).content.get("dtype")).startswith("float")
-    ]
-    warnings += [f"{', '.join(numbers)}: not read."] if numbers else []
+    kinds = {str(name): features.table(name).content.get("dtype") for name in features.content}
+    others = (name for name, kind in kinds.items() if str(kind).startswith("float"))
+    if unread := ", ".join(name for name in others if name not in (*QUANTITY, *INDICES)):
+        warnings.append(f"{unread}: not read.")
     return Recording(
         name=f"{root.resolve().name}_{index}",
         kind="servo",
@@ -108,31 +104,29 @@ def read_lerobot(
 
 
 def with_episodes(recordings: Any, most: int) -> Any:  # noqa: ANN401 - whatever was given
-    """Recordings or their files with the first episodes of each dataset in its place."""
+    """Recordings or their files with the first episodes of each dataset, in degrees, in its place.
+
+    For what does not depend on the unit of angles.
+    """
     given = [recordings] if isinstance(recordings, str | os.PathLike) else recordings
     if not isinstance(given, Sequence):
         return given
-    return [one for some in given for one in _episodes(some, most) or (some,)]
+    listed: list[Any] = []
+    for one in given:
+        if isinstance(one, str | os.PathLike) and is_lerobot(one):
+            total, degrees = _info(Path(one))[1], Conversion({"": "deg"})
+            episodes = range(min(total, most))
+            listed += [read_lerobot(one, degrees, episode=k) for k in episodes]
+        else:
+            listed.append(one)
+    return listed
 
 
-def _episodes(path: object, most: int) -> list[Recording]:
-    """The first episodes of a dataset whose unit does not matter, as degrees; [] of other files."""
-    if not isinstance(path, str | os.PathLike) or not is_lerobot(path):
-        return []
-    file = Path(path) / "meta" / "info.json"
-    total = int(Fields(file, "", read_json(file)).number("total_episodes", low=1))
-    degrees = Conversion({"": "deg"})
-    return [read_lerobot(path, degrees, episode=k) for k in range(min(total, most))]
-
-
-def _episode(info: Fields, episode: int | None) -> int:
-    total = int(info.number("total_episodes", low=1))
-    if episode is None and total > 1:
-        raise InputError("--episode", "", "nothing", f"one of the {total} episodes, from 0")
-    index = episode or 0
-    if not 0 <= index < total:
-        raise InputError("--episode", "", str(index), f"0 to {total - 1}")
-    return index
+def _info(root: Path) -> tuple[Fields, int]:
+    """What a dataset says of itself, and its number of episodes."""
+    file = root / "meta" / "info.json"
+    info = Fields(file, "", read_json(file))
+    return info, int(info.number("total_episodes", low=1))
 
 
 def _data_file(root: Path, info: Fields, episode: int) -> Path:
@@ -144,13 +138,13 @@ def _data_file(root: Path, info: Fields, episode: int) -> Path:
     elif version.startswith("v3."):
         columns = {"chunk_index": "data/chunk_index", "file_index": "data/file_index"}
         folder = root / "meta" / "episodes"
-        for file in sorted(folder.glob("*/*.parquet")):
-            table = _read(file, [*columns.values()], episode)
-            if table["data/chunk_index"].size:
-                fields = {name: int(table[column][0]) for name, column in columns.items()}
-                break
-        else:
+        tables = (
+            _read(x, [*columns.values()], episode) for x in sorted(folder.glob("*/*.parquet"))
+        )
+        table = next((one for one in tables if one["data/chunk_index"].size), None)
+        if table is None:
             raise InputError(folder, "episode_index", f"no episode {episode}", "a row for it")
+        fields = {name: int(table[column][0]) for name, column in columns.items()}
     else:
         raise info.error("codebase_version", "v2.0, v2.1 or v3.0")
     try:

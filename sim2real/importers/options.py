@@ -41,46 +41,47 @@ class Conversion:
     # no unit needs it
     calibration: str | os.PathLike[str] = ""
 
-    def check_joints(self, joints: Sequence[str]) -> None:
-        """Raise ``InputError`` unless units are stated for all joints, and for these only."""
-        quantities = {joint: [f"{joint}.{quantity}" for quantity in ANGLES] for joint in joints}
-        known = {"", *joints, *(name for names in quantities.values() for name in names)}
-        if unknown := ", ".join(name for name in self.units if name not in known):
-            expected = f"joints of {', '.join(joints)}, or one's command or position"
-            raise InputError("--units", "", unknown, expected)
-        for joint, names in quantities.items():
-            if not ({"", joint} & self.units.keys() or set(names) <= self.units.keys()):
-                expected = f"{joint}=UNIT, of {', '.join(ANGLE_UNITS)}"
-                raise InputError("--units", "", f"none for {joint}", expected)
-
     def radians(
-        self, joint: str, quantity: str, values: Array, where: str | os.PathLike[str]
+        self, joints: Sequence[str], quantity: str, values: Array, where: str | os.PathLike[str]
     ) -> Array:
-        """Commands or positions of a joint in rad, of the shape of ``values``.
+        """Commands or positions of joints in rad, of the shape of ``values`` (T, J).
 
         A calibrated range (LeRobot's ``RANGE_M100_100`` and ``RANGE_0_100``) spans from
         ``range_min`` to ``range_max``; its middle is angle 0, as with LeRobot's degrees.
-        ``InputError`` if the calibration lacks the joint, or an angle is too large.
+        ``InputError`` unless units are stated for all joints, and for these only, if the
+        calibration lacks a joint, or an angle is too large.
         """
-        names = (f"{joint}.{quantity}", joint, "")
-        unit = next(self.units[name] for name in names if name in self.units)
-        if unit in RADIANS_PER:
-            angles = values * RADIANS_PER[unit]
-        else:
-            if unit in RANGES:
-                low, high = RANGES[unit]
-                lowest, highest = self._span(joint)
-                counts = (values - (low + high) / 2) / (high - low) * (highest - lowest)
-            else:
-                zero = self.zero_count
-                counts = values - (sum(self._span(joint)) / 2 if zero is None else zero)
-            angles = counts * (2 * math.pi / self.counts_per_turn)
-        largest = float(np.nanmax(np.abs(angles), initial=0.0))
-        if largest > LARGEST_ANGLE_RAD:
-            found = f"{largest:.4g} rad, if angles are {unit}"
-            expected = f"at most {LARGEST_ANGLE_RAD:.1f} rad"
-            raise InputError(where, f"{joint}, {quantity}", found, expected)
+        known = {"", *joints, *(f"{joint}.{name}" for joint in joints for name in ANGLES)}
+        if unknown := ", ".join(name for name in self.units if name not in known):
+            expected = f"joints of {', '.join(joints)}, or one's command or position"
+            raise InputError("--units", "", unknown, expected)
+        angles = np.empty_like(values)
+        for j, joint in enumerate(joints):
+            names = (f"{joint}.{quantity}", joint, "")
+            unit = next((self.units[name] for name in names if name in self.units), None)
+            if unit is None:
+                expected = f"{joint}=UNIT, of {', '.join(ANGLE_UNITS)}"
+                raise InputError("--units", "", f"none for {joint}", expected)
+            angles[:, j] = self._angles(joint, unit, values[:, j])
+            largest = float(np.nanmax(np.abs(angles[:, j]), initial=0.0))
+            if largest > LARGEST_ANGLE_RAD:
+                found = f"{largest:.4g} rad, if angles are {unit}"
+                expected = f"at most {LARGEST_ANGLE_RAD:.1f} rad"
+                raise InputError(where, f"{joint}, {quantity}", found, expected)
         return angles
+
+    def _angles(self, joint: str, unit: str, values: Array) -> Array:
+        """Values of one joint in rad."""
+        if unit in RADIANS_PER:
+            return values * RADIANS_PER[unit]
+        if unit in RANGES:
+            low, high = RANGES[unit]
+            lowest, highest = self._span(joint)
+            counts = (values - (low + high) / 2) / (high - low) * (highest - lowest)
+        else:
+            zero = self.zero_count
+            counts = values - (sum(self._span(joint)) / 2 if zero is None else zero)
+        return counts * (2 * math.pi / self.counts_per_turn)
 
     def _span(self, joint: str) -> tuple[float, float]:
         top = Fields(self.calibration, "", read_json(self.calibration))
@@ -130,14 +131,11 @@ def conversion(
     if ranges and calibration is None:
         missing.append("--calibration JSON")
     ask_for(source, missing)
-    unused = {
-        "--counts-per-turn": counts_per_turn is not None and not (counts or ranges),
-        "--zero-count": zero_count is not None and not counts,
-        "--calibration": calibration is not None
-        and not (ranges or (counts and zero_count is None)),
-    }
-    names = [name for name, is_unused in unused.items() if is_unused]
-    refuse(source, names, f"angles in {', '.join(units or ())}", ["--units"])
+    given: dict[str, object] = {"counts_per_turn": counts_per_turn, "zero_count": zero_count}
+    given["calibration"] = calibration
+    used = (counts or ranges, counts, ranges or (counts and zero_count is None))
+    unused = [n for n, use in zip(given, used, strict=True) if given[n] is not None and not use]
+    refuse(source, unused, f"angles in {', '.join(units or ())}", ["units"])
     return Conversion(by_joint, counts_per_turn or 0, zero_count, calibration or "")
 
 
@@ -153,8 +151,11 @@ def refuse(
 ) -> None:
     """Raise one ``InputError`` for all options of a log that do not apply ``of`` its kind."""
     if options:
-        expected = f"only options that apply to it: {', '.join(applicable)}"
-        raise InputError(source, "", f"{', '.join(options)} for {of}", expected)
+        wrong, right = (
+            ", ".join(f"--{name.replace('_', '-')}" for name in names)
+            for names in (options, applicable)
+        )
+        raise InputError(source, "", f"{wrong} for {of}", f"only options that apply to it: {right}")
 
 
 def import_warnings(sentences: Sequence[str]) -> dict[str, list[str]]:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -69,8 +68,6 @@ def read_messages(
     with optional(str(path)):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
-    if not Path(path).exists():
-        raise InputError(path, "", "no such file", "a ROS 1 or ROS 2 bag")
     if not Path(path).is_dir():
         check_size(Path(path), LARGEST_STREAM_BYTES)
     messages: dict[str, list[Message]] = {topic: [] for topic in allowed_types}
@@ -93,14 +90,13 @@ def read_messages(
                 header_ns = stamp.sec * 10**9 + stamp.nanosec if stamp is not None else 0
                 message = Message(receive_ns, header_ns, connection.msgtype, content)
                 messages[connection.topic].append(message)
+    except InputError:
+        raise
     except Exception as error:  # errors of damaged bags depend on the storage
-        if isinstance(error, InputError):
-            raise
         problem = f"no bag that can be read ({error})"
         raise InputError(path, "", problem, "a ROS 1 or ROS 2 bag") from error
-    for topic, received in messages.items():
-        if not received:
-            raise InputError(path, topic, "0 messages", "at least one")
+    if empty := [topic for topic, received in messages.items() if not received]:
+        raise InputError(path, empty[0], "0 messages", "at least one")
     return messages
 
 
@@ -124,40 +120,33 @@ def streams(
         stamped = set()
     result = {}
     for topic, sent in messages.items():
-        t, clock = receive[topic], "receive time"
-        if topic in stamped:
-            t, clock = header[topic], "header stamp"
+        clock = "header stamp" if topic in stamped else "receive time"
+        t = (header if topic in stamped else receive)[topic]
         back = np.flatnonzero(np.diff(t) < -LARGEST_DISORDER_NS)
         if back.size:
             k, expected = int(back[0]), "a clock never set back"
             found = f"a time {(t[k] - t[k + 1]) / 1e9:g} s before the previous one"
             if back.size > 1:
                 found += f", and {back.size} such times"
-                expected += (
-                    ", or one publisher of the topic instead of two with clocks of their own"
-                )
+                expected += ", or one publisher of the topic, not two with clocks of their own"
             raise InputError(file, f"{topic}, message {k + 1}", found, expected)
         result[topic] = Stream(file, topic, sent, t, clock)
     return result
 
 
 def joint_series(
-    stream: Stream,
-    joints: Sequence[str],
-    values: Callable[[Message], Mapping[str, float]],
-    *,
-    angles: bool = True,
+    stream: Stream, joints: Sequence[str], field: str = "command"
 ) -> dict[str, pd.Series[float]]:
     """Values of joints in a stream, each by time in ns in order of time; NaN is omitted.
 
-    ``values`` reads them by joint name out of one message; with ``angles`` they are in rad, and
-    every joint must have some. ``InputError`` if a message is inconsistent, a value too large, or a
-    joint has no angle.
+    ``field`` is that of `joint_values`. Angles are in rad, and every joint must have some.
+    ``InputError`` if a message is inconsistent, a value too large, or a joint has no angle.
     """
+    angles = field in ("command", "position")
     rows = []
     for k, message in enumerate(stream.messages):
         try:
-            read = values(message)
+            read = joint_values(message, field, joints)
         except ValueError as error:
             raise InputError(stream.file, f"{stream.topic}, message {k}", *error.args) from None
         rows.append([read.get(joint, np.nan) for joint in joints])
@@ -177,54 +166,40 @@ def joint_series(
     return series
 
 
-def measured(message: Message, field: str) -> dict[str, float]:
-    """``field`` of a JointState by joint name; empty if the field is empty.
+def joint_values(message: Message, field: str, joints: Sequence[str]) -> dict[str, float]:
+    """``command``, ``position``, ``velocity`` or ``effort`` by joint name; {} if not measured.
 
-    For a controller's state it is that of ``feedback`` (``actual`` before ROS 2 Humble).
-    ``ValueError`` if names and values do not match; arguments: found, expected.
+    ``joints`` are the names for an array or a number. Of a trajectory the command is its future
+    point (``time_from_start`` above 0, or the only point), sent when the trajectory starts:
+    interpolation by the controller is attributed to the servo. With several future points the
+    controller computes the set-points: they are the ``reference`` of its state, measured values its
+    ``feedback`` (``desired`` and ``actual`` before ROS 2 Humble). ``ValueError`` if names and
+    values do not match, or there are several points ahead; arguments: found, expected.
     """
-    content, name = message.content, field
-    if message.type == CONTROLLER:
-        content = _point(content, "feedback", "actual")
-        name = {"position": "positions", "velocity": "velocities"}.get(field, field)
-    values = getattr(content, name)
-    return _by_name(message.joints, values, field) if len(values) else {}
-
-
-def set_points(message: Message, joints: Sequence[str]) -> dict[str, float]:
-    """Set-points in rad by joint name; ``joints`` are the names for an array or a number.
-
-    For a trajectory it is the future point (``time_from_start`` above 0, or the only point), sent
-    when the trajectory starts: interpolation by the controller is attributed to the servo. With
-    several future points the controller computes the set-points: they are in the ``reference``
-    (``desired`` before ROS 2 Humble) of its state. ``ValueError`` if names and values do not match,
-    or there are several points ahead.
-    """
+    content, names, sent = message.content, message.joints, field == "command"
     if message.type in (FLOAT, ARRAY):
-        return _by_name(joints, np.atleast_1d(message.content.data).tolist(), "data")
-    if message.type == JOINT_STATE:
-        return _by_name(message.joints, message.content.position, "position")
-    if message.type == CONTROLLER:
-        reference = _point(message.content, "reference", "desired")
-        return _by_name(message.joints, reference.positions, "positions")
-    points = message.content.points
-    ahead = [p for p in points if (p.time_from_start.sec, p.time_from_start.nanosec) > (0, 0)]
-    chosen = ahead or points
-    if len(chosen) != 1:
-        expected = "one in each message (or the topic of the controller's own state)"
-        raise ValueError(f"{len(chosen)} trajectory points ahead", expected)
-    return _by_name(message.joints, chosen[0].positions, "positions")
-
-
-def _point(content: Any, name: str, before: str) -> Any:  # noqa: ANN401
-    """A point of a controller's state by its present or, if empty, its former name."""
-    point = getattr(content, name, None)
-    return point if point is not None and len(point.positions) else getattr(content, before, point)
-
-
-def _by_name(names: Sequence[str], values: Sequence[float], field: str) -> dict[str, float]:
+        names, values = tuple(joints), np.atleast_1d(content.data)
+    elif message.type == JOINT_STATE:
+        values = getattr(content, "position" if sent else field)
+    elif message.type == CONTROLLER:
+        now, before = ("reference", "desired") if sent else ("feedback", "actual")
+        point = getattr(content, now, None)
+        if point is None or not len(point.positions):
+            point = getattr(content, before, point)
+        plural = {"velocity": "velocities", "effort": "effort"}.get(field, "positions")
+        values = getattr(point, plural)
+    else:
+        times = [(p.time_from_start.sec, p.time_from_start.nanosec) for p in content.points]
+        ahead = [p for p, t in zip(content.points, times, strict=True) if t > (0, 0)]
+        ahead = ahead or content.points
+        if len(ahead) != 1:
+            expected = "one in each message (or the topic of the controller's own state)"
+            raise ValueError(f"{len(ahead)} trajectory points ahead", expected)
+        values = ahead[0].positions
+    if not (sent or len(values)):
+        return {}
     if len(names) != len(values):
-        raise ValueError(f"{len(values)} values in {field}", f"one for each of {', '.join(names)}")
+        raise ValueError(f"{len(values)} values of {field}", f"one for each of {', '.join(names)}")
     return {name: float(value) for name, value in zip(names, values, strict=True)}
 
 
@@ -240,7 +215,7 @@ def read_bag(
     path: str | os.PathLike[str],
     *,
     state_topic: str,
-    command_topic: str | Sequence[str],
+    command_topic: Sequence[str],
     joints: Sequence[str] | None = None,
 ) -> Recording:
     """Read the joint states and commands of a bag as a ``servo`` recording with unknown loads.
@@ -253,7 +228,7 @@ def read_bag(
     ``InputError`` if the bag, a topic, a message or a joint is invalid, or two sources write the
     states.
     """
-    listed = [command_topic] if isinstance(command_topic, str) else list(command_topic)
+    listed = list(command_topic)
     if len(listed) != 1 and len(joints or ()) != len(listed):
         found = f"{len(joints or ())} joints and {len(listed)} command topics for them"
         raise InputError(path, "joints", found, "one topic for all or one for each joint")
@@ -263,27 +238,23 @@ def read_bag(
     bag = streams(path, read_messages(path, allowed_types))
     state = bag[state_topic]
     names = _joint_names(joints, bag[listed[0]], state)
-    position = joint_series(state, names, partial(measured, field="position"))
+    position = joint_series(state, names, "position")
     warnings = check_source(state, position)
     command: dict[str, pd.Series[float]] = {}
+    sources = listed if len(listed) > 1 else listed * len(names)
     for topic in dict.fromkeys(listed):
-        own = names
-        if len(listed) > 1:
-            own = tuple(name for name, one in zip(names, listed, strict=True) if one == topic)
-        command |= joint_series(bag[topic], own, partial(set_points, joints=own))
+        own = tuple(name for name, one in zip(names, sources, strict=True) if one == topic)
+        command |= joint_series(bag[topic], own)
     start = max(values.index[0] for values in command.values())
     for joint, values in position.items():
         if values.index[-1] <= start:
             found = f"no position of {joint} after the first set-points"
             raise InputError(path, state_topic, found, "states while commands are sent")
-    others = {
-        f"{joint}.{column}": values
-        for field, column in OPTIONAL.items()
-        for joint, values in joint_series(
-            state, names, partial(measured, field=field), angles=False
-        ).items()
-        if values.any()  # drivers write 0 for quantities that they do not measure
-    }
+    others: dict[str, pd.Series[float]] = {}
+    for field, column in OPTIONAL.items():
+        read = joint_series(state, names, field)
+        # drivers write 0 for quantities that they do not measure
+        others |= {f"{joint}.{column}": values for joint, values in read.items() if values.any()}
     angles, sent = _frame(position)[list(names)], _frame(command)[list(names)]
     rows = angles.index.union(sent.index)
     sent = sent.reindex(rows).ffill()
@@ -321,9 +292,8 @@ def _frame(series: Mapping[str, pd.Series[float]]) -> pd.DataFrame:
 def _joint_names(joints: Sequence[str] | None, first: Stream, state: Stream) -> tuple[str, ...]:
     """The requested joints, else those named in the first command, else the only one of a state."""
     state_joints = state.messages[0].joints
-    names = tuple(joints or first.messages[0].joints)
-    if not names and len(state_joints) == 1:
-        return state_joints
+    alone = state_joints if len(state_joints) == 1 else ()
+    names = tuple(joints or first.messages[0].joints or alone)
     if not names:
         expected = f"names in the order of the set-points on {first.topic}, of "
         raise InputError(first.file, "joints", "none named", expected + ", ".join(state_joints))
@@ -332,22 +302,13 @@ def _joint_names(joints: Sequence[str] | None, first: Stream, state: Stream) -> 
     return names
 
 
-def check_source(
-    stream: Stream,
-    series: Mapping[str, pd.Series[float]],
-    *,
-    fewest: int = 5,
-    warned: float = 0.01,
-    most_warned: float = 0.1,
-    least_rad: float = 0.02,
-) -> list[str]:
+def check_source(stream: Stream, series: Mapping[str, pd.Series[float]]) -> list[str]:
     """Warnings of angles that lie apart from those before and after them, which agree.
 
     They are failed readings, or of a second source of the topic. ``series`` are angles in rad of
-    each joint by time in ns, in order of time. Fewer than ``fewest`` are left to chance; there is a
-    warning above the share ``warned``, an error above ``most_warned``; they lie apart by at least
-    ``least_rad``, several counts of coarse encoders. ``InputError`` if too many angles contradict
-    others.
+    each joint by time in ns, in order of time. Fewer than five are left to chance; there is a
+    warning above a share of 1 %, an error above 10 %; they lie apart by at least 20 mrad, several
+    counts of coarse encoders. ``InputError`` if too many angles contradict others.
     """
     warnings = []
     for joint, values in series.items():
@@ -356,16 +317,16 @@ def check_source(
         size = np.minimum(np.abs(before), np.abs(after))
         agree = np.abs(angles[2:] - angles[:-2])
         # above noise, and common motion
-        least = max(8 * float(np.quantile(agree, 0.25)), least_rad) if agree.size else 0.0
+        least = max(8 * float(np.quantile(agree, 0.25)), 0.02) if agree.size else 0.0
         apart = np.flatnonzero((before * after > 0) & (size > np.maximum(5 * agree, least)))
-        if apart.size < max(fewest, warned * angles.size):
+        if apart.size < max(5, 0.01 * angles.size):
             continue
         found = (
             f"{apart.size} of {angles.size} angles of {joint} apart from those before and after "
             f"them (the first {size[apart[0]]:.2g} rad, {(t[apart[0] + 1] - t[0]) / 1e9:.4g} s "
             "after the first message): two publishers, or failed readings"
         )
-        if apart.size > most_warned * angles.size:
+        if apart.size > 0.1 * angles.size:
             expected = (
                 f"messages of one source (ros2 topic info --verbose {stream.topic} lists the "
                 "publishers): record again with one, or remove the messages of the other"

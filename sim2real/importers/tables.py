@@ -7,10 +7,10 @@ or spaces, with decimal points or commas and lines of comments.
 from __future__ import annotations
 
 import csv
-import os
 import re
 from collections.abc import Mapping, Sequence
 from io import StringIO
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -33,12 +33,11 @@ def column_map(pairs: Sequence[str] | None) -> dict[str, str]:
     """Names of the log's columns by ``--columns t=COLUMN J.command=COLUMN ...``."""
     columns: dict[str, str] = {}
     for pair in pairs or ():
-        ours, equals, theirs = pair.partition("=")
-        if not equals or not theirs or ours in columns:
+        ours, _, theirs = pair.partition("=")
+        if not theirs or ours in columns:
             raise InputError("--columns", "", repr(pair), f"{MAP}, each once")
-        quantity = ours.rpartition(".")[2]
-        valid = ours in ("t", "supply_V") or ("." in ours and quantity in (*ANGLES, *OTHERS))
-        if not valid:
+        _, dot, quantity = ours.rpartition(".")
+        if ours not in ("t", "supply_V") and not (dot and quantity in (*ANGLES, *OTHERS)):
             expected = f"t, supply_V or J. and one of {', '.join((*ANGLES, *OTHERS))}"
             raise InputError("--columns", "", repr(ours), expected)
         columns[ours] = theirs
@@ -50,31 +49,24 @@ def column_map(pairs: Sequence[str] | None) -> dict[str, str]:
 
 
 def read_table(
-    path: str | os.PathLike[str],
-    columns: Mapping[str, str],
-    conversion: Conversion,
-    *,
-    time_unit: str | None,
+    file: Path, columns: Mapping[str, str], conversion: Conversion, *, time_unit: str
 ) -> Recording:
     """Read a table of text as a recording with unknown loads.
 
     Columns are chosen by ``column_map``. Except for angles and times they have the units in their
-    names. Rows before every joint has its first set-point
-    are omitted; a set-point that is missing later is the previous one, as in a servo. ``t`` starts
-    at 0. ``InputError`` if a column is missing or invalid, a unit is not stated, or the sampling
-    period in the unit of time is not one of a servo.
+    names. Rows before every joint has its first set-point are omitted; a set-point that is missing
+    later is the previous one, as in a servo. ``t`` starts at 0. ``InputError`` if a column is
+    missing or invalid, a unit is not stated, or the sampling period in the unit of time is not one
+    of a servo.
     """
-    file = Path(path)
     if time_unit not in SECONDS_PER:
-        found = "nothing" if time_unit is None else repr(time_unit)
-        raise InputError("--time-unit", "", found, f"one of {', '.join(SECONDS_PER)}")
+        raise InputError("--time-unit", "", repr(time_unit), f"one of {', '.join(SECONDS_PER)}")
     table, form = _csv(file, columns)
     t = (table["t"] - table["t"][0]) * SECONDS_PER[time_unit]
     check_increasing(file, t, "row {} of the data", 1)
     joints = _joints(columns)
-    conversion.check_joints(joints)
     sent, measured = (
-        np.stack([conversion.radians(j, q, table[f"{j}.{q}"], file) for j in joints], axis=1)
+        conversion.radians(joints, q, np.stack([table[f"{j}.{q}"] for j in joints], axis=1), file)
         for q in ANGLES
     )
     measured_at = t[np.isfinite(measured).any(axis=1)]
@@ -88,11 +80,7 @@ def read_table(
     if started.sum() < 2:
         raise InputError(file, "commands", f"{started.sum()} rows with set-points", "two or more")
     first = int(np.flatnonzero(started)[0])
-    others = {
-        name: table[name][first:]
-        for name in columns
-        if name != "t" and name.rpartition(".")[2] not in ANGLES
-    }
+    others = [n for n in columns if n != "t" and n.rpartition(".")[2] not in ANGLES]
     return Recording(
         name=file.stem,
         kind="servo",
@@ -101,7 +89,7 @@ def read_table(
         command=sent[first:],
         position=measured[first:],
         source="A log; licence not stated in it.",
-        columns=others,
+        columns={name: table[name][first:] for name in others},
         metadata={
             "original_file": file.name,
             "rows_before_first_command": first,
@@ -117,8 +105,7 @@ def _joints(columns: Mapping[str, str]) -> tuple[str, ...]:
 
 def _csv(file: Path, columns: Mapping[str, str]) -> tuple[dict[str, Array], str]:
     """The columns of a text file, and a phrase on separators and commas unless they are plain."""
-    lines = _lines(file)
-    header, separator, rows = _header(lines, set(columns.values()))
+    header, separator, rows = _header(_lines(file), set(columns.values()))
     if len(rows) < 2:
         raise InputError(file, "", f"{len(rows)} rows", "a header and at least two rows")
     form = f"columns separated by {SEPARATORS[separator]}"
@@ -183,11 +170,11 @@ def _header(lines: Sequence[str], wanted: set[str]) -> tuple[list[str], str, lis
         return [], ",", []
     above = filled[: filled.index(rows[0])]
     for line in (rows[0], *reversed(above)):
-        for text in dict.fromkeys((line.lstrip().lstrip("#/%"), line)):
-            for separator in SEPARATORS:
-                names = _cells(text, separator)
-                if wanted <= set(names):
-                    return names, separator, rows[1:] if line is rows[0] else rows
+        texts = dict.fromkeys((line.lstrip().lstrip("#/%"), line))
+        for text, separator in product(texts, SEPARATORS):
+            names = _cells(text, separator)
+            if wanted <= set(names):
+                return names, separator, rows[1:] if line is rows[0] else rows
     separator = max(",;\t", key=lambda character: len(_cells(rows[0], character)))
     return _cells(rows[0], separator), separator, rows[1:]
 

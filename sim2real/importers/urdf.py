@@ -60,11 +60,8 @@ class Tree:
         for name in (self.name, *self.bodies, *(hinge.name for hinge in self.hinges)):
             check_label(self.file, "name", name)
         for body in self.bodies.values():
-            for name, values in (
-                ("mass_kg", body.mass),
-                ("com_m", body.com),
-                ("inertia_kgm2", body.inertia),
-            ):
+            numbers = {"com_m": body.com, "inertia_kgm2": body.inertia}
+            for name, values in {"mass_kg": np.array(body.mass), **numbers}.items():
                 _, largest, unit = plausible(name)
                 found = float(np.abs(values).max())
                 if not found <= largest:
@@ -85,11 +82,9 @@ def robot_toml(tree: Tree, joints: Sequence[str] | None = None) -> tuple[str, li
     notes = list(tree.left_out)
     text = f"name = {_quoted(tree.name)}\n"
     groups = _groups(tree, chosen)
-    if groups is None:
+    if not groups:
         notes.append("links: the joints branch, and a robot here is a chain: choose by --joints")
-    else:
-        for k, group in enumerate(groups):
-            text += _link(tree, chosen, k, group, notes)
+    text += "".join(_link(tree, chosen, k, group, notes) for k, group in enumerate(groups))
     servos: dict[tuple[float | None, float | None], str] = {}
     for hinge in chosen:
         servo = servos.setdefault((hinge.torque, hinge.speed), f"servo{len(servos) + 1}")
@@ -111,7 +106,7 @@ def robot_toml(tree: Tree, joints: Sequence[str] | None = None) -> tuple[str, li
             else:
                 text += f"{field} = {value:.9g}\n"
         notes.append(f"{name}: position_step_rad: take it from the data sheet")
-    if groups is not None:
+    if groups:
         notes.append("links: width_m and height_m: measure them, if the robot is to swim")
     return text, notes
 
@@ -128,8 +123,8 @@ def _chosen(tree: Tree, joints: Sequence[str] | None) -> list[Hinge]:
     return [hinges[name] for name in joints or hinges]
 
 
-def _groups(tree: Tree, chosen: Sequence[Hinge]) -> list[list[Body]] | None:
-    """The bodies of each link, from head to tail; None if the joints branch."""
+def _groups(tree: Tree, chosen: Sequence[Hinge]) -> list[list[Body]]:
+    """The bodies of each link, from head to tail; none if the joints branch."""
     number = {hinge.body: k + 1 for k, hinge in enumerate(chosen)}
 
     def link_of(body: str) -> int:
@@ -137,11 +132,10 @@ def _groups(tree: Tree, chosen: Sequence[Hinge]) -> list[list[Body]] | None:
             body = tree.bodies[body].parent
         return number.get(body, 0)
 
-    if len(number) != len(chosen):  # two hinges on one body: nothing between them
-        return None
-    for k, hinge in enumerate(chosen):
-        if link_of(tree.bodies[hinge.body].parent) != k:
-            return None
+    above = [link_of(tree.bodies[hinge.body].parent) for hinge in chosen]
+    # two hinges on one body have nothing between them
+    if len(number) != len(chosen) or above != list(range(len(chosen))):
+        return []
     groups: list[list[Body]] = [[] for _ in range(len(chosen) + 1)]
     for body in tree.bodies.values():
         groups[link_of(body.name)].append(body)
@@ -166,23 +160,16 @@ def _link(tree: Tree, chosen: Sequence[Hinge], k: int, group: list[Body], notes:
             values["com_m"] = float(along / length @ (com - front))
             if values["com_m"] < 0:
                 notes.append(f"{name}: com_m: {values['com_m']:.3g}, in front of its joint")
-        turned = chosen[max(k - 1, 0)].axis
-        values["inertia_kgm2"] = float(turned @ _about(com, group) @ turned)
-    rows = (
-        f"{field} = {value:.9g}\n"
-        for field, value in values.items()
-        if value > 0 or (field == "com_m" and value == 0)
-    )
-    return f"\n[[links]]\nname = {_quoted(name)}\n" + "".join(rows)
-
-
-def _about(com: Array, group: Sequence[Body]) -> Array:
-    """Inertia of bodies together about a point, shape (3, 3)."""
-    total = np.zeros((3, 3))
-    for body in group:
-        arm = body.com - com
-        total += body.inertia + body.mass * (float(arm @ arm) * np.eye(3) - np.outer(arm, arm))
-    return total
+        turned, total = chosen[max(k - 1, 0)].axis, np.zeros((3, 3))
+        for body in group:
+            arm = body.com - com
+            total += body.inertia + body.mass * (float(arm @ arm) * np.eye(3) - np.outer(arm, arm))
+        values["inertia_kgm2"] = float(turned @ total @ turned)
+    text = f"\n[[links]]\nname = {_quoted(name)}\n"
+    for field, value in values.items():
+        if value > 0 or (field == "com_m" and value == 0):
+            text += f"{field} = {value:.9g}\n"
+    return text
 
 
 def _quoted(text: str) -> str:
@@ -256,7 +243,15 @@ class _Part:
 def read_urdf(path: str | os.PathLike[str]) -> Tree:
     """The links and joints of a URDF, without xacro, every joint at 0; else ``InputError``."""
     file = Path(path)
-    root = _root(file)
+    text = read_text(file)
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise InputError(file, "", "a document type", "a URDF without one")
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InputError(file, "", f"no XML ({error})", "a URDF") from None
+    if root.tag != "robot":
+        raise InputError(file, "", f"<{root.tag}>", "<robot>")
     links = {_name(file, link): link for link in root.findall("link")}
     above: dict[str, Element] = {}
     parents: dict[str, str] = {}
@@ -281,7 +276,7 @@ def read_urdf(path: str | os.PathLike[str]) -> Tree:
             if kind in TURNS:
                 hinges.append(_hinge(hung, title, name, place, turned))
                 here = [
-                    what for tag, what in NOT_TAKEN.items() if hung.part(tag).element is not None
+                    what for tag, what in NOT_TAKEN.items() if above[name].find(tag) is not None
                 ]
                 not_taken += [f"{title}: {what}: not taken" for what in here]
             elif kind != "fixed":
@@ -293,19 +288,6 @@ def read_urdf(path: str | os.PathLike[str]) -> Tree:
     if len(bodies) != len(links):
         raise InputError(file, "joint", "links in a ring", "a tree")
     return Tree(str(file), root.get("name", "robot"), bodies, hinges, (*left_out, *not_taken))
-
-
-def _root(file: Path) -> Element:
-    text = read_text(file)
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise InputError(file, "", "a document type", "a URDF without one")
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise InputError(file, "", f"no XML ({error})", "a URDF") from None
-    if root.tag != "robot":
-        raise InputError(file, "", f"<{root.tag}>", "<robot>")
-    return root
 
 
 def _body(link: _Part, name: str, parent: str, place: Array, turned: Array) -> Body:

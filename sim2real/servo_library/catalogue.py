@@ -93,11 +93,6 @@ class ServoEntry(NotebookDisplay):
         return figure
 
 
-def read_entry(path: str | os.PathLike[str]) -> ServoEntry:
-    """Read an entry; ``InputError`` if it is no model, or lacks what an entry needs."""
-    return entry_of(read_model(path), path)
-
-
 def entry_of(model: Model, file: str | os.PathLike[str]) -> ServoEntry:
     """The entry that a model describes; ``InputError``, naming ``file``, if something lacks."""
     fields = Fields(file, "provenance.servo", model.provenance.get("servo", {}))
@@ -150,17 +145,18 @@ def _check_joint(model: Model, file: str | os.PathLike[str]) -> None:
 
 def _check_identified(entry: ServoEntry, file: str | os.PathLike[str]) -> None:
     """Check that an identified servo has intervals and an error on data that no fit used."""
-
-    def needs(there: bool, where: str, expected: str) -> None:
+    error, data = "an error on data that the fit did not use", "the data that the held-out error "
+    intervals = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
+    for there, where, expected in (
+        (entry.held_out_rad is not None, f"fit.{ERROR}.heldout", error),
+        (entry.scored_on, "provenance.servo.scored_on", data + "was measured on"),
+        *(
+            (name in entry.joint.interval, f"joints.{JOINT}.interval.{name}", "a 90 % interval")
+            for name in intervals
+        ),
+    ):
         if not there:
             raise InputError(file, where, "nothing", expected)
-
-    known, data = entry.held_out_rad is not None, "the data that the held-out error was measured on"
-    needs(known, f"fit.{ERROR}.heldout", "an error on data that the fit did not use")
-    needs(bool(entry.scored_on), "provenance.servo.scored_on", data)
-    for name in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"):
-        there = name in entry.joint.interval
-        needs(there, f"joints.{JOINT}.interval.{name}", "a 90 % interval")
 
 
 def prepared(
@@ -203,7 +199,7 @@ def prepared(
         model,
         joints={JOINT: _rounded(model.joints[name])},
         body={},
-        fit={ERROR: {k: _round(x) for k, x in figures.items()}},
+        fit={ERROR: _six_digits(figures)},
         provenance=kept | {"servo": known},
     )
     return entry_of(entry, file)
@@ -211,22 +207,17 @@ def prepared(
 
 def _rounded(joint: JointModel) -> JointModel:
     """The joint with six digits, and without the correlations, to be read in a review."""
-    return replace(
-        joint,
-        kp_Nm_per_rad=_round(joint.kp_Nm_per_rad),
-        kd_Nms_per_rad=_round(joint.kd_Nms_per_rad),
-        latency_s=_round(joint.latency_s),
-        motor={name: _round(value) for name, value in joint.motor.items()},
-        interval={name: (_round(a), _round(b)) for name, (a, b) in joint.interval.items()},
-        correlation={},
-        effects=tuple(
-            replace(effect, parameters={k: _round(x) for k, x in effect.parameters.items()})
-            for effect in joint.effects
-        ),
-    )
+    names = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s", "motor", "interval")
+    effects = tuple(replace(e, parameters=_six_digits(e.parameters)) for e in joint.effects)
+    rounded = {name: _six_digits(getattr(joint, name)) for name in names}
+    return replace(joint, **rounded, correlation={}, effects=effects)
 
 
-def _round(value: Any) -> Any:  # noqa: ANN401 - a number or None
+def _six_digits(value: Any) -> Any:  # noqa: ANN401 - a number or None, several, or a table of them
+    if isinstance(value, Mapping):
+        return {name: _six_digits(x) for name, x in value.items()}
+    if isinstance(value, tuple):
+        return tuple(map(_six_digits, value))
     return value if value is None or not math.isfinite(value) else float(f"{value:.6g}")
 
 
@@ -258,13 +249,13 @@ def at(
     if volts != 1 and not entry.joint.motor.get("no_load_speed_rad_s"):
         found = f"{name}, which has no torque-speed line"
         raise InputError("--supply", "", found, "a servo with the law 'motor'")
+    before = {"supply_V": entry.supply_V, "firmware_gain": entry.firmware_gain}
     settings: dict[str, Any] = {
         "supply_V": entry.supply_V and entry.supply_V * volts,
         "firmware_gain": entry.firmware_gain and entry.firmware_gain * gain,
     }
     origin: Mapping[str, Any] = entry.model.provenance
-    changed = origin["servo"] | settings | {"scored_on": ""}
-    changed["scaled_from"] = {"supply_V": entry.supply_V, "firmware_gain": entry.firmware_gain}
+    changed = origin["servo"] | settings | {"scored_on": "", "scaled_from": before}
     joints = {JOINT: _scaled(entry.joint, gain, volts)}
     model = replace(entry.model, joints=joints, fit={}, provenance={**origin, "servo": changed})
     if model.firmware_p_gain is not None:
@@ -354,7 +345,7 @@ def shipped() -> ServoLibrary:
     """
     entries = []
     for path in sorted(FOLDER.glob("*.json")):
-        entry = read_entry(path)
+        entry = entry_of(read_model(path), path)
         if entry.name != path.stem:
             raise InputError(path, "provenance.servo.name", repr(entry.name), f"{path.stem!r}")
         entries.append(entry)

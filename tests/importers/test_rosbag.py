@@ -91,7 +91,7 @@ def stamp(ms):
 
 
 def read(bag, **more):
-    return read_bag(bag, **({"state_topic": STATE, "command_topic": COMMAND} | more))
+    return read_bag(bag, **({"state_topic": STATE, "command_topic": [COMMAND]} | more))
 
 
 def test_states_and_set_points_stand_at_their_own_times(ros):
@@ -264,15 +264,15 @@ BACK = bag_with(lambda ros: ros.number(0), states=[of("a", ms=x) for x in (0, -2
     [
         (BOTH, {"state_topic": "/nowhere"}, "/nowhere: found no such topic in the bag, expected"),
         (BOTH, {"state_topic": "/nowhere"}, "/commands (sensor_msgs/msg/JointState), /joint_st"),
-        (BOTH, {"command_topic": STATE}, "found one topic for states and commands"),
+        (BOTH, {"command_topic": [STATE]}, "found one topic for states and commands"),
         (BOTH, {"joints": ["a", "c"]}, "/joint_states: found no angle of joint c, expected one"),
         (BOTH, {"joints": ["a", "a"]}, "joints: found a, a, expected each name once"),
         (BOTH, {"command_topic": ["/x", "/y"]}, "joints: found 0 joints and 2 command topics"),
         (ARRAY, {}, "joints: found none named, expected names in the order of the set-points"),
-        (ARRAY, {"joints": ["a"]}, "/commands, message 0: found 2 values in data, expected one"),
-        (ARRAY, {"state_topic": COMMAND, "command_topic": STATE}, "found std_msgs/msg/Float64Mul"),
+        (ARRAY, {"joints": ["a"]}, "/commands, message 0: found 2 values of command, expected one"),
+        (ARRAY, {"state_topic": COMMAND, "command_topic": [STATE]}, "found std_msgs/msg/Float64Mu"),
         (bag_with(of("a")), AB, "/commands: found no angle of joint b, expected one of a"),
-        (SHORT, {}, "message 0: found 1 values in position, expected one for each of a, b"),
+        (SHORT, {}, "message 0: found 1 values of command, expected one for each of a, b"),
         (FAR, AB, "/commands, message 1, b: found 90, expected a size of at most 12.6"),
         (AHEAD, {}, "/commands, message 0: found 2 trajectory points ahead, expected one"),
         (EARLY, {}, "/joint_states: found no position of a after the first set-points"),
@@ -321,7 +321,7 @@ def test_a_trajectory_controllers_own_set_points(tmp_path, suffix, fields):
         return STATE, 10 * k, ros.state(names, [k, -k], stamp_ns=stamp(10 * k))
 
     bag = ros.write(*map(state, range(5)), *map(own, range(5)))
-    recording = read(bag, command_topic="/controller_state")
+    recording = read(bag, command_topic=["/controller_state"])
     assert recording.joints == ("j1", "j2")
     assert recording.command[:, 0] == pytest.approx(0.1 * np.arange(5))
     assert recording.position[:, 1] == pytest.approx(-np.arange(5.0))

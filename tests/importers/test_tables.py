@@ -91,7 +91,6 @@ def ticks(step):
         ("t;c;d\n0;1;2\n1;1;2\n", "s", ("no column p", "semicolons", "one of t, c, d")),
         ("t;c;p;p\n0;1;2;2\n1;1;2;2\n", "s", ("header", "p twice")),
         ("t,c,p\n0,1,2\n\0\n", "s", ("no table (binary",)),
-        (ticks(1), None, ("--time-unit", "nothing")),
         (ticks(1), "min", ("--time-unit", "'min'")),
         (ticks(0.01), "ns", ("--time-unit ns", "samples 1e-11 s apart", "in seconds?")),
         (ticks(10), "s", ("--time-unit s", "samples 10 s apart", "in milliseconds?")),

@@ -11,7 +11,7 @@ import sim2real as s2r
 from sim2real.cli import main
 from sim2real.report.servo_table import markdown_row
 from sim2real.servo.prediction import predict
-from sim2real.servo_library.catalogue import FOLDER, at, read_entry
+from sim2real.servo_library.catalogue import FOLDER, at, entry_of
 
 ABOUT = {
     "name": "mine_bench",
@@ -143,7 +143,7 @@ def test_adding_an_entry(identified, tmp_path, capsys):
     assert content["provenance"]["servo"] == ABOUT | more
     assert content["provenance"]["inputs"] == {"steps.csv": "abc"}
     assert list(content["joints"]) == ["j1"]
-    assert markdown_row(read_entry(out)) in shown
+    assert markdown_row(entry_of(s2r.read_model(out), out)) in shown
     assert "3.1 mrad" in shown
 
 
