@@ -174,8 +174,7 @@ def swim_group(options: argparse.Namespace, g: int) -> None:
     )
     controllers = named_controllers(POLICIES, robot)
     owner = np.tile(who, R)
-    made = [make(int((owner == k).sum())) for k, make in enumerate(controllers.values())]
-    steering = Controllers(made, 1)
+    steering = Controllers([*controllers.values()], 1)
     steering.owner = owner
     seen = real_world(Pool(world, rng), robot, task, Starts(*parts), "pool")
     episodes = run_episodes(seen, steering, name="reality")

@@ -245,7 +245,7 @@ def built(name: str, gains: Array) -> Controller:
     """The controller of E robots, each with a row of gains (E, G)."""
     kind, build = KINDS[name]
     columns = dict(zip((one.name for one in fields(kind)), gains.T, strict=True))
-    return build(LIMITS, len(gains), kind(**columns))
+    return build(LIMITS, kind(**columns))
 
 
 def searched(options: argparse.Namespace) -> None:
@@ -307,7 +307,7 @@ def swum(gains: dict[Any, Array], options: argparse.Namespace, seed: int) -> dic
     settings = SimulationSettings(options.fidelity, options.device, cell_m=options.cell_m)
     steering = Controllers(controllers, n * S // len(controllers))
     episodes = simulate(
-        ROBOT, IN_TRIALS, tiled, own * n, steering, settings, seed=seed, name="trials"
+        steering, ROBOT, IN_TRIALS, tiled, seed, draws=own * n, settings=settings, name="trials"
     )
     table = costs(episodes, np.concatenate(price)).reshape(len(SEARCHES), C, S)
     return dict(zip(SEARCHES, table, strict=True))

@@ -115,9 +115,9 @@ def forecast(
         file = None if kept is None else Path(kept)
         swum = forecaster.swim(controllers, file=file, key=key, progress=progress)
     trained = {
-        name: made.policy.provenance.get("trained_over", {})
-        for name, make in controllers.items()
-        if isinstance(made := make(1), PolicyController)
+        name: one.policy.provenance.get("trained_over", {})
+        for name, one in controllers.items()
+        if isinstance(one, PolicyController)
     }
     figures = {name: swum[name] for name in FIGURES}
     out = Forecast(

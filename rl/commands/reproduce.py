@@ -16,7 +16,7 @@ from rl.commands.ablate import make_testbeds, reality_of
 from rl.commands.evaluate import table_line, trajectories
 from rl.experiments.episodes import FIGURES, Episodes, measured, summary
 from rl.experiments.film import Film, Reel
-from rl.experiments.named import shown, with_price
+from rl.experiments.named import controller_of, shown, with_price
 from rl.experiments.testbeds import (
     Controllers,
     DrawnTrials,
@@ -108,8 +108,8 @@ def stages(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     kept = sorted(agent.glob("policy-*.*"), key=_steps)
     trials = DrawnTrials(fish.robot, fish.model, None, options.episodes or 10, fish.settings)
     files = dict(zip("ABCDEFGH", [*kept, _policy(agent)], strict=False))
-    makers = {letter: trials.maker(str(file)) for letter, file in files.items()}
-    swims = trials.run(TASKS["zones"], makers, options.seed)
+    controllers = {letter: controller_of(str(file), fish.robot) for letter, file in files.items()}
+    swims = trials.run(TASKS["zones"], controllers, options.seed)
     ways = {name: _paths(one) for name, one in swims.items()}
     rows = {name: summary(one, TASKS["zones"]) for name, one in swims.items()}
     notes = {name: f"{_steps(file) or last:,} steps" for name, file in files.items()}
@@ -223,8 +223,7 @@ def _swims(
     cell = options.reality_cell_m
     testbeds = make_testbeds(fish.robot, arms, plan, fish.ranges, reality, cell)
     testbed = next(one for one in testbeds if one.name == where)
-    trials = DrawnTrials(fish.robot, fish.model)
-    who = Controllers([trials.maker(name)(repeats) for name in policies], repeats)
+    who = Controllers([controller_of(name, fish.robot) for name in policies], repeats)
     starts = same_starts(task, len(policies), repeats, options.seed, len(fish.robot.joints))
     watcher = unwatched if reel is None else partial(Film, reel, name=where)
     episodes = testbed.swim(who, fish.robot, task, starts, options.seed, watcher)

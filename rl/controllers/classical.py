@@ -68,10 +68,9 @@ class LineOfSight:
     ``smooth`` and ``rate``, in rad/s, are low-pass filtered with the time constant ``filter_s``.
     """
 
-    def __init__(self, n_envs: int, filter_s: ArrayLike) -> None:
+    def __init__(self, filter_s: ArrayLike) -> None:
         constant = np.maximum(np.asarray(filter_s, dtype=np.float64), 1e-9)
         self._share, self._fresh = -np.expm1(-CONTROL_S / constant), True
-        self.bearing, self.smooth, self.rate = (np.zeros(n_envs) for _ in range(3))
 
     def update(self, observation: NDArray[np.floating]) -> None:
         """Update with the observation of a control period."""
@@ -91,18 +90,18 @@ class LineOfSight:
 class _Steered:
     """A pattern generator whose bend follows the line of sight; the first beat is towards it."""
 
-    def __init__(self, limits_rad: ArrayLike, n_envs: int, gains: Any, filter_s: ArrayLike) -> None:  # noqa: ANN401
-        self.gains, self._filter_s = gains, filter_s
-        self._limits, self._n = limits_rad, n_envs
+    def __init__(self, limits_rad: ArrayLike, gains: Any, filter_s: ArrayLike = 0.0) -> None:  # noqa: ANN401
+        self._limits, self.gains, self._filter_s = limits_rad, gains, filter_s
         self.reset()
 
     def reset(self) -> None:
         """All robots begin anew."""
-        self._generator = CentralPatternGenerator(self._limits, self._n)
-        self._sight, self._fresh = LineOfSight(self._n, self._filter_s), True
+        self._fresh = True
 
     def act(self, observation: Array32) -> Array32:
         """Desired joint angles; see ``Controller``."""
+        if self._fresh:
+            self._begin(len(observation))
         self._sight.update(observation)
         if self._fresh:
             left = self._sight.bearing > 0
@@ -110,6 +109,11 @@ class _Steered:
         bend = self._bend(observation)
         self._fresh = False
         return self._generator.step(self.gains.bent(bend)).astype(np.float32)
+
+    def _begin(self, n: int) -> None:
+        """Begin with n robots."""
+        self._generator = CentralPatternGenerator(self._limits, n)
+        self._sight = LineOfSight(self._filter_s)
 
     def _bend(self, observation: Array32) -> Array:
         """The bend in rad, shape (E,), positive to the left."""
@@ -136,11 +140,9 @@ class ProportionalNavigation(_Steered):
     ``limits_rad`` are those of the joints, shape (J, 2); by default the gains are those tuned.
     """
 
-    def __init__(
-        self, limits_rad: ArrayLike, n_envs: int = 1, gains: PNLGains | None = None
-    ) -> None:
+    def __init__(self, limits_rad: ArrayLike, gains: PNLGains | None = None) -> None:
         gains = tuned("pnl", PNLGains) if gains is None else gains
-        super().__init__(limits_rad, n_envs, gains, gains.filter_s)
+        super().__init__(limits_rad, gains, gains.filter_s)
 
     def _bend(self, observation: Array32) -> Array:
         turn = np.asarray(self.gains.navigation_s) * self._sight.rate
@@ -216,19 +218,15 @@ class DisturbanceRejection(_Steered):
     Arguments as for ``ProportionalNavigation``.
     """
 
-    def __init__(
-        self, limits_rad: ArrayLike, n_envs: int = 1, gains: ADRCGains | None = None
-    ) -> None:
-        g = tuned("adrc", ADRCGains) if gains is None else gains
-        super().__init__(limits_rad, n_envs, g, 0.0)
+    def __init__(self, limits_rad: ArrayLike, gains: ADRCGains | None = None) -> None:
+        super().__init__(limits_rad, tuned("adrc", ADRCGains) if gains is None else gains)
 
-    def reset(self) -> None:
-        """All robots begin anew."""
-        super().reset()
-        n, g = self._n, self.gains
+    def _begin(self, n: int) -> None:
+        super()._begin(n)
+        g = self.gains
         self._profile = TransientProfile(n, g.agility_rad_s2)
         self._observer = ExtendedStateObserver(n, g.observer_rad_s, g.effect_per_s2)
-        self._heading, self._lead, self._turn = (np.zeros(n) for _ in range(3))
+        self._heading, self._lead, self._turn = np.zeros((3, n))
 
     def _bend(self, observation: Array32) -> Array:
         """Linear ADRC: poles at the bandwidth, disturbance compensated."""

@@ -69,20 +69,18 @@ TABLE = ActionTable(_frequency, _amplitude, _offset, front=1.2, lag_rad=0.8, hol
 class DiscreteCPG:
     """A trained policy as a controller; ``table`` must be that of the training."""
 
-    def __init__(
-        self, model: DQN, limits_rad: ArrayLike, n_envs: int = 1, table: ActionTable = TABLE
-    ) -> None:
-        self.model, self.table = model, table
-        self._limits, self._n = limits_rad, n_envs
+    def __init__(self, model: DQN, limits_rad: ArrayLike, table: ActionTable = TABLE) -> None:
+        self.model, self.table, self._limits = model, table, limits_rad
         self.reset()
 
     def reset(self) -> None:
         """All robots begin anew."""
-        self._generator, self._period = CentralPatternGenerator(self._limits, self._n), 0
+        self._period = 0
 
     def act(self, observation: Array32) -> Array32:
         """Desired joint angles; see ``Controller``."""
         if self._period == 0:
+            self._generator = CentralPatternGenerator(self._limits, len(observation))
             self._generator.reset(observation)
         if self._period % self.table.hold == 0:
             inputs = with_phase(observation, self._generator)
@@ -187,7 +185,7 @@ def read_table(path: str | os.PathLike[str]) -> ActionTable | None:
 
 
 def read_policy(
-    path: str | os.PathLike[str], table: ActionTable, limits_rad: ArrayLike, n_envs: int
+    path: str | os.PathLike[str], table: ActionTable, limits_rad: ArrayLike
 ) -> DiscreteCPG:
     """Read a policy of ``train_run``, of gaits ``table``, for joints with ``limits_rad`` (J, 2)."""
     saved = read_policy_zip(path, "DQN")
@@ -202,7 +200,7 @@ def read_policy(
     env, network = Spaces(box, spaces.Discrete(choices)), {"net_arch": hidden}
     model = GaitDQN("MlpPolicy", env, buffer_size=1, policy_kwargs=network, device="cpu")
     load_weights(path, model.policy, saved.weights)
-    return DiscreteCPG(model, limits_rad, n_envs, table)
+    return DiscreteCPG(model, limits_rad, table)
 
 
 COLUMNS = ("steps", "episodes", "mean_return", "success", "mean_length", "exploration")

@@ -21,7 +21,7 @@ from rl.sac.sac import read_agent
 from rl.sac.train import digest_of
 from rl.task import TASKS, Task
 from rl.world import Draws, World
-from sim2real.arrays import Array, Array32, Index, Mask
+from sim2real.arrays import Array32, Index, Mask
 from sim2real.model import Model
 from sim2real.ranges.entry import Ranges
 from sim2real.robot import Robot
@@ -49,8 +49,6 @@ class SimulationSettings:
 IN_TWIN = SimulationSettings()
 Watcher = Callable[[World], Callable[[Mask], None]]
 """From a world to what is called after each of its control periods, see ``run_episodes``."""
-Maker = Callable[[int], Controller]
-"""A function of the number of robots to their controller."""
 
 
 def unwatched(_: World) -> Callable[[Mask], None]:
@@ -94,25 +92,18 @@ def same_starts(task: Task, agents: int, repeats: int, seed: int, J: int) -> Sta
 
 
 def simulate(
-    robot: Robot,
-    task: Task,
-    starts: Starts,
-    draws: Sequence[Draws],
-    controller: Controller,
-    settings: SimulationSettings,
-    *,
-    seed: int,
-    name: str,
-    watcher: Watcher = unwatched,
-    **options: Any,  # noqa: ANN401 - those of ``make_world``
-) -> Episodes:
-    """One episode of each robot in the fluid or the twin, all at once."""
+    who: Controller, robot: Robot, task: Task, starts: Starts, seed: int,
+    watcher: Watcher = unwatched, *,
+    draws: Sequence[Draws], settings: SimulationSettings, name: str,
+    **options: Any,  # noqa: ANN401
+) -> Episodes:  # fmt: skip
+    """One episode of each robot in the fluid or the twin; ``options`` are of ``make_world``."""
     with own_stream(settings.device):
         world = make_world(
             robot, replace(task, place=lambda *_: starts), draws, n_envs=len(starts.pose),
             seed=seed, **settings.world, **options,
         )  # fmt: skip
-        return run_episodes(world, controller, name=name, watch=watcher(world))
+        return run_episodes(world, who, name=name, watch=watcher(world))
 
 
 @dataclass(frozen=True)
@@ -125,31 +116,28 @@ class DrawnTrials:
     episodes: int = 20  # of each controller
     settings: SimulationSettings = IN_TWIN
 
-    def run(self, task: Task, makers: Mapping[str, Maker], seed: int = 0) -> dict[str, Episodes]:
+    def run(
+        self, task: Task, controllers: Mapping[str, Controller], seed: int = 0
+    ) -> dict[str, Episodes]:
         """The episodes of each controller, by its name."""
-        n, J = self.episodes, len(self.robot.joints)
+        n, K = self.episodes, len(controllers)
         drawn = draws_of(self.model, self.ranges, self.robot, seed=seed + UNSEEN, n=n)
-        draws = [Draws((m,), drawn.noise) for m in drawn.models] * len(makers)
-        steering = Controllers([make(n) for make in makers.values()], n)
-        swims = simulate(
-            self.robot, task, same_starts(task, len(makers), n, seed, J), draws, steering,
-            self.settings, seed=seed, name=task.name,
-        )  # fmt: skip
-        return {name: swims.of(steering.owner == k) for k, name in enumerate(makers)}
+        draws = [Draws((m,), drawn.noise) for m in drawn.models] * K
+        who = Controllers([*controllers.values()], n)
+        starts = same_starts(task, K, n, seed, len(self.robot.joints))
+        swims = simulate(who, self.robot, task, starts, seed,
+                         draws=draws, settings=self.settings, name=task.name)  # fmt: skip
+        return {name: swims.of(who.owner == k) for k, name in enumerate(controllers)}
 
     def summaries(
-        self, tasks: Sequence[Task], makers: Mapping[str, Maker], seed: int
+        self, tasks: Sequence[Task], controllers: Mapping[str, Controller], seed: int
     ) -> dict[str, dict[str, Any]]:
         """The summary of each task, by controller and task."""
-        rows: dict[str, dict[str, Any]] = {name: {} for name in makers}
+        rows: dict[str, dict[str, Any]] = {name: {} for name in controllers}
         for task in tasks:
-            for name, episodes in self.run(task, makers, seed).items():
+            for name, episodes in self.run(task, controllers, seed).items():
                 rows[name][task.name] = summary(episodes, task)
         return rows
-
-    def maker(self, name: str) -> Maker:
-        """A maker of the controller of a policy file or a name, see ``controller_of``."""
-        return partial(controller_of, name, [joint.limits_rad for joint in self.robot.joints])
 
 
 class Testbed(NamedTuple):
@@ -169,14 +157,7 @@ def simulated(
     **options: Any,  # noqa: ANN401 - those of the simulator
 ) -> Testbed:
     """The fluid or the twin, with robot and noise of each agent, in the agents' order."""
-
-    def swim(
-        who: Controllers, robot: Robot, task: Task, starts: Starts, seed: int,
-        watcher: Watcher = unwatched,
-    ) -> Episodes:  # fmt: skip
-        more = {**options, "seed": seed, "name": name, "watcher": watcher}
-        return simulate(robot, task, starts, draws, who, settings, **more)
-
+    swim = partial(simulate, draws=draws, settings=settings, name=name, **options)
     fluid = settings.fidelity == "fluid"
     water = f"fluid, cells of {100 * settings.cell_m:g} cm" if fluid else "twin"
     content = ([digest_of(one) for one in draws], (settings.fidelity, settings.cell_m, options))
@@ -209,20 +190,15 @@ def real(file: RealityFile, device: str = "cpu") -> Testbed:
 def _joined(parts: Sequence[Episodes]) -> Episodes:
     """Concatenate episodes, padding the shorter recordings with NaN."""
     T = max(len(part.pose) for part in parts)
-
-    def padded(values: Array) -> Array:
-        rest = np.full((T - len(values), *values.shape[1:]), np.nan)
-        return np.concatenate([values, rest])
-
-    rows = {
-        name: np.concatenate([padded(getattr(part, name)) for part in parts], axis=1)
-        for name in ("pose", "rate", "value")
-    }
-    each = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("reached", "steps", "targets")
-    }
-    return Episodes(**rows, **each)
+    joined: dict[str, Any] = {}
+    for name in vars(parts[0]):
+        values = [getattr(part, name) for part in parts]
+        if timed := name in ("pose", "rate", "value"):
+            values = [
+                np.concatenate([x, np.full((T - len(x), *x.shape[1:]), np.nan)]) for x in values
+            ]
+        joined[name] = np.concatenate(values, axis=int(timed))
+    return Episodes(**joined)
 
 
 HELD_OUT = ("turn", "mixed")
@@ -246,9 +222,10 @@ def held_out(
     ``names`` are those of the tasks. The result: ``best``, the folder name of the agent with the
     highest score, and by name ``score``, the ``success`` over all tasks and the summary of each.
     """
-    makers = {folder.name: trials.maker(str(folder / "policy.zip")) for folder in folders}
+    files = {folder.name: str(folder / "policy.zip") for folder in folders}
+    controllers = {name: controller_of(file, trials.robot) for name, file in files.items()}
     tasks = [replace(TASKS[name], energy=energy) for name in names]
-    agents = trials.summaries(tasks, makers, SEED)
+    agents = trials.summaries(tasks, controllers, SEED)
     for rows in agents.values():
         for mean, figure in (("score", "reward"), ("success", "success")):
             rows[mean] = float(np.mean([rows[name][figure] for name in names]))
@@ -269,13 +246,13 @@ def choose_prices(trials: DrawnTrials, folders: Sequence[Path]) -> dict[str, flo
         for folder, agent in read.items()
         if getattr(agent, "by_price", {}).get("column") is not None
     }
-    makers: dict[str, Maker] = {"pnl": trials.maker("pnl")}
+    controllers = {"pnl": controller_of("pnl", trials.robot)}
     for folder, agent in agents.items():
         for exponent in EXPONENTS:
             set_price(agent, agent.by_price["prices"] ** exponent)
-            steered: Controller = PolicyController(policy_of(agent))
-            makers[f"{folder}@{exponent}"] = lambda _, steered=steered: steered  # type: ignore[misc]
-    rows = trials.summaries([TASKS[name] for name in PRICED] if agents else [], makers, PRICE_SEED)
+            controllers[f"{folder}@{exponent}"] = PolicyController(policy_of(agent))
+    tasks = [TASKS[name] for name in PRICED] if agents else []
+    rows = trials.summaries(tasks, controllers, PRICE_SEED)
     chosen = {}
     for folder, agent in agents.items():
         worst = [

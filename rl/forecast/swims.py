@@ -15,9 +15,10 @@ import torch
 from scipy.signal import lfilter
 from torch.utils.dlpack import from_dlpack
 
+from rl.controllers import Controller
 from rl.experiments.episodes import FIGURES, Episodes, measured
 from rl.experiments.reality import Starts
-from rl.experiments.testbeds import Maker, SimulationSettings, simulate
+from rl.experiments.testbeds import SimulationSettings, simulate
 from rl.forecast.realities import Realities
 from rl.make import digest
 from rl.task import CONTROL_S, Task
@@ -46,7 +47,7 @@ class Forecaster:
 
     def swim(
         self,
-        controllers: Mapping[str, Maker],
+        controllers: Mapping[str, Controller],
         *,
         file: Path | None = None,
         key: str = "",
@@ -70,9 +71,9 @@ class Forecaster:
         for part in range(parts):
             rows = self._rows(part)
             head, law = rows[rows < n], np.repeat(self.realities.law[rows, 3], T)
-            for k, make in enumerate(controllers.values()):
+            for k, controller in enumerate(controllers.values()):
                 if np.isnan(table["success"][k, rows]).any():
-                    episodes = self._episodes(part, make)
+                    episodes = self._episodes(part, controller)
                     figures = measured(episodes, self.task)
                     more = law * figures["energy"]  # the error of the energy of each reality
                     figures["energy"] = figures["energy"] + more
@@ -95,7 +96,7 @@ class Forecaster:
         first, N = part * self.settings.at_once, len(self.realities.models)
         return np.arange(first, min(N, first + self.settings.at_once))
 
-    def _episodes(self, part: int, make: Maker) -> Episodes:
+    def _episodes(self, part: int, who: Controller) -> Episodes:
         """Trials of one policy in the realities of a batch."""
         each = np.repeat(self._rows(part), self.trials)
         rng, E, steps = np.random.default_rng([self.seed, part]), len(each), self.task.steps
@@ -107,8 +108,8 @@ class Forecaster:
         draws = [Draws((self.realities.models[d],), self.realities.noise) for d in each]
         around = partial(Inexact, law=self.realities.law[each, :3], disturbance=disturbance)
         return simulate(
-            self.robot, self.task, starts, draws, make(E), self.settings, name="forecast",
-            seed=int(rng.integers(2**31)), around=around,
+            who, self.robot, self.task, starts, int(rng.integers(2**31)), draws=draws,
+            settings=self.settings, name="forecast", around=around,
         )  # fmt: skip
 
 

@@ -36,7 +36,7 @@ def test_the_policy_knows_its_gaits_and_acts_within_the_limits(run, robot):
     assert table is not None
     assert table.content() == TABLE.content()
     limits = np.array([joint.limits_rad for joint in robot.joints])
-    controller = read_policy(path, table, limits, 5)
+    controller = read_policy(path, table, limits)
     seen = np.random.default_rng(0).normal(0, 0.2, (5, 11)).astype(np.float32)
     angles = np.array([controller.act(seen) for _ in range(30)])
     assert (angles >= limits[:, 0] - 1e-6).all()
@@ -57,7 +57,7 @@ def test_a_run_that_is_done_is_not_done_again_and_another_is_refused(run):
     ("name", "value"), [("offset_rad", [0.0]), ("hold", 0), ("hold", 1001), ("lag_rad", "x")]
 )
 def test_a_table_that_is_none_is_refused(run, tmp_path, name, value):
-    agent = read_policy(run[1][0] / "policy.zip", TABLE, LIMITS, 1).model
+    agent = read_policy(run[1][0] / "policy.zip", TABLE, LIMITS).model
     agent.gaits, agent.joints = {**TABLE.content(), name: value}, ["j1", "j2", "j3"]
     agent.save(tmp_path / "policy.zip")
     with pytest.raises(InputError, match=f"gaits.{name}"):

@@ -29,7 +29,7 @@ def test_a_film_shows_the_whole_swim_and_the_target(world_of, tmp_path):
     world = world_of(2, shortened(TASKS["near"], 100), seed=1)
     limits = np.stack([world.low.numpy(), world.high.numpy()], axis=1)
     with Video(path) as video, Film(video, world, "pnl", width=320) as film:
-        run_episodes(world, ProportionalNavigation(limits, 2), watch=film)
+        run_episodes(world, ProportionalNavigation(limits), watch=film)
     read = cv2.VideoCapture(str(path))
     frames = []
     while (more := read.read())[0]:

@@ -108,16 +108,16 @@ def test_the_poison_works(old, tmp_path):
 
 @pytest.mark.parametrize("weights", [False, True])
 @pytest.mark.parametrize("kind", ["sac", "dqn"])
-def test_nothing_in_a_file_is_executed(old, agents, tmp_path, kind, weights):
+def test_nothing_in_a_file_is_executed(old, agents, robot, tmp_path, kind, weights):
     mark = tmp_path / "mark"
     file = poisoned(old[kind], mark, weights=weights)
     readers = {
         "agent": lambda: read_agent(file),
         "zip": lambda: read_zip(file),
         "first": lambda: start_from(agents["sac"], file),
-        "gaits": lambda: read_policy(file, TABLE, LIMITS, 2),
-        "named": lambda: controller_of(str(file), LIMITS, 2),
-        "at a price": lambda: controller_of(f"{file}@0.5", LIMITS, 2),
+        "gaits": lambda: read_policy(file, TABLE, LIMITS),
+        "named": lambda: controller_of(str(file), robot),
+        "at a price": lambda: controller_of(f"{file}@0.5", robot),
     }
     harmless = {"gaits", "named"} if kind == "dqn" and not weights else set()
     for name, read in readers.items():
@@ -175,7 +175,7 @@ def test_files_of_former_versions_give_the_same_actions(world_of, tmp_path, view
 
 
 def test_gaits_of_former_versions_are_chosen_as_before(old, agents):
-    controller = read_policy(old["dqn"], read_table(old["dqn"]), LIMITS, 9)
+    controller = read_policy(old["dqn"], read_table(old["dqn"]), LIMITS)
     seen = np.random.default_rng(2).normal(0, 0.5, (40, 13)).astype(np.float32)
     mine, theirs = (one.predict(seen, deterministic=True)[0] for one in (
         controller.model, agents["dqn"]))  # fmt: skip
@@ -200,7 +200,7 @@ def test_the_same_policy_gives_the_same_bytes(agents, tmp_path):
     table = read_table(tmp_path / "dqn-0.zip")
     assert table is not None
     assert table.content() == TABLE.content()
-    controller = read_policy(tmp_path / "dqn-0.zip", table, LIMITS, 2)
+    controller = read_policy(tmp_path / "dqn-0.zip", table, LIMITS)
     for mine, theirs in zip(
         controller.model.policy.parameters(), agents["dqn"].policy.parameters(), strict=True
     ):

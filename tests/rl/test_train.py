@@ -16,7 +16,7 @@ from rl.deploy.export import policy_of, set_price
 from rl.deploy.policy import PolicyController
 from rl.experiments import testbeds
 from rl.experiments.episodes import summary
-from rl.experiments.named import shown, with_price
+from rl.experiments.named import controller_of, shown, with_price
 from rl.experiments.testbeds import DrawnTrials
 from rl.make import draw_models, noise_of
 from rl.observer import PAPER
@@ -372,11 +372,8 @@ def test_each_agent_swims_at_the_price_that_does_best(robot, model, tmp_path, mo
     chosen = testbeds.choose_prices(trials, [folder])
     (price,) = chosen.values()
     assert read_agent(folder / "policy.zip").by_price["share"] == pytest.approx(np.log2(price))
-    makers = {
-        str(one): lambda _, policy=policy: PolicyController(policy)
-        for one, policy in policies.items()
-    }
-    swum = trials.run(TASKS["turn"], makers, testbeds.PRICE_SEED)
+    controllers = {str(one): PolicyController(policy) for one, policy in policies.items()}
+    swum = trials.run(TASKS["turn"], controllers, testbeds.PRICE_SEED)
     spent = {one: summary(swum[str(one)], TASKS["turn"])["energy"] for one in prices}
     assert max(spent.values()) > 1.2 * spent[1.0]
     assert spent[price] <= 1.001 * spent[1.0], "nobody arrives, so that energy decides"
@@ -397,8 +394,8 @@ def test_a_policy_is_called_with_a_price(tmp_path):
 def test_trials_are_the_same_for_all(robot, model):
     ranges = Ranges((uniform("command_latency_s", 0.03, 0.09, "s", ""),))
     trials = DrawnTrials(robot, model, ranges, episodes=4)
-    makers = {name: trials.maker("pnl") for name in ("one", "other")}
-    swims = trials.run(shortened(TASKS["turn"], 80), makers)
+    controllers = {name: controller_of("pnl", robot) for name in ("one", "other")}
+    swims = trials.run(shortened(TASKS["turn"], 80), controllers)
     one, other = swims["one"], swims["other"]
     assert np.allclose(one.pose, other.pose, atol=1e-6)
     assert np.ptp(one.rate[60].sum(axis=1)) > 1e-3, "robots differ from trial to trial"
