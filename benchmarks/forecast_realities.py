@@ -41,7 +41,7 @@ from scipy.stats import kendalltau
 from benchmarks.harness import ROOT, command_line, spread
 from rl.experiments.episodes import FIGURES, measured, run_episodes
 from rl.experiments.named import named_controllers
-from rl.experiments.reality import Starts, real_world
+from rl.experiments.reality import real_world
 from rl.experiments.statistics import expected
 from rl.experiments.testbeds import Controllers, SimulationSettings
 from rl.forecast.forecast import Forecast
@@ -58,7 +58,7 @@ from rl.forecast.swims import Forecaster
 from rl.forecast.trials import OBSERVED, Trials
 from rl.make import noise_of, with_density
 from rl.sac.plan import RECIPES
-from rl.task import CONTROL_S, TASKS, Task
+from rl.task import CONTROL_S, TASKS, Starts, Task
 from sim.inference.law_error import LAW_ERROR
 from sim.inference.swims import by_twin, with_values
 from sim.twin.law import FITTED

@@ -89,7 +89,7 @@ def table_line(name: str, row: dict[str, Any]) -> str:
 
 def trajectories(swims: Mapping[str, Episodes]) -> Figure:
     """Trajectories over the pool, a panel for each policy."""
-    from rl.experiments.paths import pool_figure
+    from rl.experiments.figures import pool_figure
 
     ways, notes = {}, {}
     for name, episodes in swims.items():

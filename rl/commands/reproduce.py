@@ -100,7 +100,7 @@ def learning_curves(options: argparse.Namespace, _: Fish) -> tuple[Section, Any]
 
 def stages(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     """Policies kept in a training, between the start zone and the target zone (Fig. 4 b)."""
-    from rl.experiments.paths import zones_figure
+    from rl.experiments.figures import zones_figure
     from rl.sac.checkpoint import read_progress
 
     last = int(read_progress(_agents(options.run)[0])["steps"][-1])
@@ -126,7 +126,7 @@ def stages(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
 
 def calibration(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     """Recorded swims and their simulation, as functions of time (Fig. 3)."""
-    from rl.experiments.compared import Compared, compared_figure
+    from rl.experiments.figures import compared_figure, compared_signals
     from sim.inference.swims import by_fluid, by_twin, seen, swim_of
     from sim2real.body import values
 
@@ -137,19 +137,22 @@ def calibration(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     for swim in swims:
         track = simulator([fish.model], swim.command, swim.start)
         signals = seen(swim.t, track, [values(fish.model)])[0]
-        one = Compared(swim, signals, np.unwrap(track[0, :, 2]))
-        shown.append(one)
-        errors[swim.name] = one.errors()
+        rows = compared_signals(swim, signals, np.unwrap(track[0, :, 2]))
+        shown.append((swim, rows))
+        errors[swim.name] = {
+            label: float(np.sqrt(np.nanmean(np.square(measured - simulated))))
+            for label, (measured, simulated) in rows.items()
+        }
     figure = _figure(options, "calibration", compared_figure(shown), "Joint 1 is the foremost.")
-    rows = [(name, *(f"{x:#.3g}" for x in row.values())) for name, row in errors.items()]
-    table = Table(("swim", *next(iter(errors.values()))), rows, "Root mean square errors.")
+    lines = [(name, *(f"{x:#.3g}" for x in row.values())) for name, row in errors.items()]
+    table = Table(("swim", *next(iter(errors.values()))), lines, "Root mean square errors.")
     lead = "Measured (red) and simulated (blue, dashed) from the recorded commands."
     return Section("Calibration", lead, [figure, table]), errors
 
 
 def turn(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     """The turn by 180 degrees, simulated and in reality, as stills and as a film (Fig. 5)."""
-    from rl.experiments.compared import in_step, stills_figure
+    from rl.experiments.figures import in_step, stills_figure
 
     check_video(options.out / "turn.mp4")
     policy = (options.policies or [str(_policy(_best(options.run)))])[0]
@@ -182,7 +185,7 @@ def turn(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
 
 def pentagram(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     """Four controllers at 21 waypoints: paths, time and energy (Fig. 6 and 7)."""
-    from rl.experiments.paths import bars_figure
+    from rl.experiments.figures import bars_figure
 
     chosen = options.policies or [str(_policy(_best(options.run))), "pnl", "adrc", str(_GAITS)]
     task, repeats = TASKS["pentagram"], options.episodes or 3

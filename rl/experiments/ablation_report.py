@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from rl.experiments.ablation import ARMS, PAPER, model_of
-from rl.experiments.paths import aligned, bar_panels, paths_figure
+from rl.experiments.figures import aligned, bar_panels, paths_figure
 from rl.experiments.statistics import OUTCOME, bootstrap, differences, seeds_needed
 from rl.sac.checkpoint import draw_curves
 from rl.sac.plan import Plan

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -14,7 +14,7 @@ from sim.robot.swimmer import Swimmer
 from sim.view.canvas import add_line, blend, draw_ring, draw_robot, grid_lines, places, zoomed
 from sim.view.legend import INK, RULE, VORTICITY, Lettering, colours
 from sim.view.plane import Plane, front_ends, plane_of
-from sim.view.video import FRAMES_PER_S
+from sim.view.video import FRAMES_PER_S, Video
 from sim2real.arrays import Array, Mask, Picture
 
 TARGET = (20, 120, 84)
@@ -28,15 +28,6 @@ def still(world: World) -> Picture:
     return _Camera(world, "", 480).picture()
 
 
-class Frames(Protocol):
-    """Where the frames of a film go: a ``Video``, or a list of pictures."""
-
-    width: int  # in pixels
-
-    def add(self, image: Picture) -> None:
-        """Append a frame."""
-
-
 class Reel(list[Picture]):
     """The frames of a film, in memory."""
 
@@ -47,7 +38,7 @@ class Reel(list[Picture]):
 class Film:
     """The part of a video that shows one policy's first robot, ``width`` pixels wide (even)."""
 
-    def __init__(self, video: Frames, world: World, name: str, *, width: int = 0) -> None:
+    def __init__(self, video: Video | Reel, world: World, name: str, *, width: int = 0) -> None:
         # by default three quarters of the video's, as the pool is about as high as it is wide
         usual = 2 * round(0.75 * video.width / 2)
         self._camera = _Camera(world, name, width or usual, _DRAWN_FOR if width else usual)
@@ -83,7 +74,15 @@ class _Camera:
         self._pixels = width / length
         height = 2 * round(breadth * self._pixels / 2)
         self._x, self._y = places((0.0, 0.0), self._pixels, width, height)
-        self._rules = self._pool()
+        # opacity of the grid and the walls of the pool, shape (height, width)
+        x, y = self._x, self._y
+        half = np.array(world.task.domain_m) / 2
+        inside = (np.abs(x) < half[0]) & (np.abs(y)[:, None] < half[1])
+        walls = np.zeros(inside.shape)
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * half
+        for ends in zip(corners[:-1], corners[1:], strict=True):
+            add_line(walls, np.stack(ends), 1.5, x, y)
+        self._rules = np.maximum(np.where(inside, 0.16 * grid_lines(x, y), 0.16), walls)
         self._way = np.zeros_like(self._rules)
         self._last: Array | None = None
 
@@ -130,15 +129,3 @@ class _Camera:
         if plane is not None:
             lettering.key()
         return lettering.image()
-
-    def _pool(self) -> Array:
-        """Opacity of the grid and the walls of the pool, shape (height, width)."""
-        x, y = self._x, self._y
-        length, breadth = (side / 2 for side in self._world.task.domain_m)
-        inside = (np.abs(x) < length) & (np.abs(y)[:, None] < breadth)
-        share = np.where(inside, 0.16 * grid_lines(x, y), 0.16)
-        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * [length, breadth]
-        walls = np.zeros_like(share)
-        for ends in zip(corners[:-1], corners[1:], strict=True):
-            add_line(walls, np.stack(ends), 1.5, x, y)
-        return np.asarray(np.maximum(share, walls))

@@ -27,13 +27,13 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
 
 from rl.deploy.link import SILENCE_S
-from rl.task import CONTROL_S, Task
+from rl.task import CONTROL_S, Starts, Task
 from rl.world import Draws, World
 from sim.robot.live import Live
 from sim2real.arrays import Array, Index, Mask
@@ -41,18 +41,6 @@ from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot
 from sim2real.velocity import NEWEST, slope_weights
-
-
-class Starts(NamedTuple):
-    """Where n episodes begin: poses (n, 3), joint angles (n, J), waypoints (n, W, 2)."""
-
-    pose: Array
-    joint: Array
-    targets: Array
-
-    def of(self, rows: Index) -> Starts:
-        """The starts of some of the episodes."""
-        return Starts(*(x[rows] for x in self))
 
 
 @dataclass(frozen=True)

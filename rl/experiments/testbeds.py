@@ -15,11 +15,11 @@ from rl.deploy.export import policy_of, set_price
 from rl.deploy.policy import PolicyController
 from rl.experiments.episodes import Episodes, run_episodes, summary
 from rl.experiments.named import controller_of
-from rl.experiments.reality import RealityFile, Starts, real_world
+from rl.experiments.reality import RealityFile, real_world
 from rl.make import Fidelity, digest, draws_of, make_world, own_stream
 from rl.sac.sac import read_agent
 from rl.sac.train import digest_of
-from rl.task import TASKS, Task
+from rl.task import TASKS, Starts, Task
 from rl.world import Draws, World
 from sim2real.arrays import Array32, Index, Mask
 from sim2real.model import Model

@@ -214,7 +214,7 @@ class Forecast(NotebookDisplay):
 
     def plot(self) -> Figure:
         """Paths of twenty realities over the pool, a panel for each policy."""
-        from rl.experiments.paths import aligned, paths_figure
+        from rl.experiments.figures import aligned, paths_figure
         from sim2real.report.style import ACCENT, MUTED
 
         ways = {}

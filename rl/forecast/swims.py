@@ -17,7 +17,6 @@ from torch.utils.dlpack import from_dlpack
 
 from rl.controllers import Controller
 from rl.experiments.episodes import FIGURES, Episodes, measured
-from rl.experiments.reality import Starts
 from rl.experiments.testbeds import SimulationSettings, simulate
 from rl.forecast.realities import Realities
 from rl.make import digest
@@ -100,7 +99,7 @@ class Forecaster:
         """Trials of one policy in the realities of a batch."""
         each = np.repeat(self._rows(part), self.trials)
         rng, E, steps = np.random.default_rng([self.seed, part]), len(each), self.task.steps
-        starts = Starts(*self.task.place(rng, E, len(self.robot.joints)))
+        starts = self.task.place(rng, E, len(self.robot.joints))
         if self.residuals:
             disturbance = blocks(self.residuals, steps, E, rng)
         else:
