@@ -44,8 +44,7 @@ from rl.experiments.named import named_controllers
 from rl.experiments.reality import real_world
 from rl.experiments.statistics import expected
 from rl.experiments.testbeds import Controllers, SimulationSettings
-from rl.forecast.forecast import Forecast
-from rl.forecast.page import SEALED
+from rl.forecast.forecast import SEALED, Forecast
 from rl.forecast.realities import (
     DEVIATIONS,
     TWIN_ERROR,

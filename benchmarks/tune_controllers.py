@@ -44,7 +44,7 @@ from rl.controllers.classical import (
     PNLGains,
     ProportionalNavigation,
 )
-from rl.experiments.episodes import Episodes, spent
+from rl.experiments.episodes import Episodes, measured
 from rl.experiments.testbeds import Controllers, SimulationSettings, simulate
 from rl.make import draws_of, make_world
 from rl.task import CONTROL_S, TASKS, Starts, Task
@@ -285,7 +285,8 @@ IN_TRIALS = Task("turn and corners", turn_and_corners, waypoints=3, steps=1200)
 
 def costs(episodes: Episodes, price: Array) -> Array:
     """Time and energy at each robot's price, and what it missed, shape (E,)."""
-    time, energy = spent(episodes, IN_TRIALS)
+    figures = measured(episodes, IN_TRIALS)
+    time, energy = figures["time_s"], figures["energy"]
     return np.asarray(time + price * energy / 1000 + 20 * (IN_TRIALS.waypoints - episodes.reached))
 
 

@@ -5,7 +5,6 @@ Without a technique the default of the old simulator is used (Lin, Liu, Wang, Se
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -141,16 +140,17 @@ def ablate(
     task = replace(turn, energy=plan.task.energy, steps=longest or turn.steps)
     results: dict[str, Any] = {}
     discount = plan.settings.gamma ** (1 / plan.view.period)
-    weights = weights_digest(agents)
+    policies = [policy_in(agent) for agent in agents]
+    weights = [digest([x.tobytes() for x in one.weights]) for one in policies]
     for testbed in testbeds:
         path = folder / f"{testbed.name}.json"
         measures = (discount, task.energy, turn.energy)
         key = digest((weights, robot, testbed.key, measures, task.steps, repeats, seed))
         result = read_json(path) if path.exists() else {}
         if result.get("key") != key:
-            policies = [PolicyController(policy_in(agent)) for agent in agents]
+            who = Controllers([PolicyController(one) for one in policies], repeats)
             starts = same_starts(task, len(agents), repeats, seed, len(robot.joints))
-            episodes = testbed.swim(Controllers(policies, repeats), robot, task, starts, seed)
+            episodes = testbed.swim(who, robot, task, starts, seed)
             result = {"key": key, **as_json(episodes, len(agents), task, discount)}
             write_json(path, result)
         results[testbed.name] = result
@@ -174,16 +174,8 @@ def policy_in(agent: Path) -> Policy:
     return read_npz(small) if small.exists() else read_zip(agent / "policy.zip")
 
 
-def weights_digest(agents: Sequence[Path]) -> str:
-    """SHA-256 of the policies in the folders of agents."""
-    digest = hashlib.sha256()
-    for agent in agents:
-        digest.update(repr([layer.tobytes() for layer in policy_in(agent).weights]).encode())
-    return digest.hexdigest()
-
-
 def as_json(episodes: Episodes, A: int, task: Task, discount: float) -> dict[str, Any]:
-    """Episodes of A agents as JSON values; time and energy as in ``episodes.spent``."""
+    """Episodes of A agents as JSON values; time and energy as in ``episodes.measured``."""
     figures, dearer = measured(episodes, task), TASKS["turn"].energy - task.energy
     columns = {
         "return": episodes.discounted(discount),

@@ -56,11 +56,9 @@ def write_report(
 
     ``note`` is the provenance, ``values`` the result of ``default_values``.
     """
-    losses = {
-        name: {arm: asdict(loss) for arm, loss in differences(results, figure).items()}
-        for name, figure in (("losses", OUTCOME), ("losses_paper", "paper"))
-    }
-    content = {**results, "table": rows(results), **losses, "provenance": note}
+    content = {**results, "table": rows(results), "provenance": note}
+    for name, figure in (("losses", OUTCOME), ("losses_paper", "paper")):
+        content[name] = {arm: asdict(loss) for arm, loss in differences(results, figure).items()}
     write_json(folder / "ablation.json", content)
     write_whole(folder / "ablation.md", markdown(results) + "\n")
     trained: dict[str, list[Path]] = {}
@@ -110,14 +108,12 @@ def rows(results: Results) -> list[dict[str, Any]]:
         agents = [agent for agent in results["agents"] if agent["arm"] == arm]
         row: dict[str, Any] = {"arm": arm}
         for testbed in results["testbeds"]:
-            row[testbed] = {
+            row[testbed] = one = {
                 name: bootstrap([a[testbed][name] for a in agents], np.random.default_rng(0))
-                for name in (OUTCOME, "paper")
+                for name in (OUTCOME, "paper", "success", "time_s", "energy")
             }
             for name in ("success", "time_s", "energy"):
-                values = [a[testbed][name] for a in agents]
-                row[testbed][name], *ends = bootstrap(values, np.random.default_rng(0))
-                row[testbed][f"{name}_interval"] = ends
+                one[name], *one[f"{name}_interval"] = one[name]
         out.append(row)
     return out
 

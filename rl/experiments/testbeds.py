@@ -32,7 +32,7 @@ UNSEEN = 10_000
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """``twin`` or ``fluid``, CPU threads, side of a cell, and draws of a forecast in a batch."""
+    """Arguments of ``make_world``, and the number of draws of a forecast in a batch."""
 
     fidelity: Fidelity = "twin"
     device: str = "cpu"
@@ -42,11 +42,10 @@ class SimulationSettings:
 
     @property
     def world(self) -> dict[str, Any]:
-        """Arguments of ``make_world``."""
+        """The arguments of ``make_world``."""
         return {k: x for k, x in vars(self).items() if k != "at_once"}
 
 
-IN_TWIN = SimulationSettings()
 Watcher = Callable[[World], Callable[[Mask], None]]
 """From a world to what is called after each of its control periods, see ``run_episodes``."""
 
@@ -71,18 +70,15 @@ class Controllers:
 
     def reset(self) -> None:
         """All robots begin anew."""
-        for controller, _ in self._shares():
+        for controller in self.controllers:
             controller.reset()
 
     def act(self, observation: Array32) -> Array32:
         """Actions of all robots, shape (n, J), for their observations (n, O)."""
-        acted = np.concatenate([c.act(observation[rows]) for c, rows in self._shares()])
-        actions = np.empty_like(acted)
-        actions[np.argsort(self.owner, kind="stable")] = acted
-        return actions
-
-    def _shares(self) -> list[tuple[Controller, Mask]]:
-        return [(self.controllers[k], self.owner == k) for k in np.unique(self.owner)]
+        owners = np.unique(self.owner)
+        acted = [self.controllers[k].act(observation[self.owner == k]) for k in owners]
+        order = np.argsort(self.owner, kind="stable")
+        return np.asarray(np.concatenate(acted)[np.argsort(order)])
 
 
 def same_starts(task: Task, agents: int, repeats: int, seed: int, J: int) -> Starts:
@@ -114,7 +110,7 @@ class DrawnTrials:
     model: Model
     ranges: Ranges | None = None
     episodes: int = 20  # of each controller
-    settings: SimulationSettings = IN_TWIN
+    settings: SimulationSettings = SimulationSettings()
 
     def run(
         self, task: Task, controllers: Mapping[str, Controller], seed: int = 0

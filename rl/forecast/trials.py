@@ -42,12 +42,16 @@ class Trials:
 
 @dataclass(frozen=True)
 class Update:
-    """Weights of the draws after trials (N,), of sum 1, their effective number, and a p-value."""
+    """Weights of the draws after trials (N,), of sum 1, and a p-value."""
 
     weights: Array
-    effective: float
     p_value: float
     trials: int
+
+    @property
+    def effective(self) -> float:
+        """Effective number of the draws."""
+        return effective(self.weights)
 
     @property
     def contradicted(self) -> bool:
@@ -124,7 +128,7 @@ def update(trials: Sequence[Trials], figures: Mapping[str, Array]) -> Update:
         chance = rng.multivariate_normal(np.zeros(F), noise, size=N)
         predicted += _squares(mean + chance - mean.mean(axis=0), whole)
     p_value = float((1 + np.sum(predicted >= observed)) / (1 + N))
-    return Update(*_flattened(log), p_value, sum(len(one.values) for one in trials))
+    return Update(_flattened(log), p_value, sum(len(one.values) for one in trials))
 
 
 def _scores(drawn: Array, seen: Array) -> tuple[Array, Array]:
@@ -140,26 +144,16 @@ def _squares(off: Array, covariance: Array) -> Array:
     return np.asarray(np.einsum("ni,in->n", off, np.linalg.solve(covariance, off.T)))
 
 
-def _flattened(log: Array) -> tuple[Array, float]:
-    """Weights, and their effective number; flattened until 20 count, so as not to be too narrow."""
+def _flattened(log: Array) -> Array:
+    """Weights, flattened until 20 draws count, so as not to be too narrow."""
     low, high, least = 0.0, 1.0, min(20.0, len(log) / 2)
-    weights = softmax(log)
-    if effective(weights) < least:
-        for _ in range(40):
-            power = (low + high) / 2
-            enough = effective(softmax(power * log)) > least
-            low, high = (power, high) if enough else (low, power)
-        weights = softmax(low * log)
-    return weights, effective(weights)
-
-
-_MEASURED_BY = {
-    "law of the twin": "calibrate in the fluid (sim2real calibrate --fluid)",
-    "latency": "record steps through the robot's own link, on several days",
-    "density": "weigh the links",
-    "water": "record further swims in the pool and calibrate with them",
-    "effects of the body": "record the swim that sim2real diagnose suggests",
-}
+    if effective(softmax(log)) >= least:
+        return np.asarray(softmax(log))
+    for _ in range(40):
+        power = (low + high) / 2
+        enough = effective(softmax(power * log)) > least
+        low, high = (power, high) if enough else (low, power)
+    return np.asarray(softmax(low * log))
 
 
 @dataclass(frozen=True)
@@ -183,16 +177,17 @@ class Measurement:
 def group_of(parameter: str, joints: Sequence[str]) -> tuple[str, str]:
     """What a parameter of a reality belongs to, and what measures it."""
     head, _, tail = parameter.partition(".")
-    if head in joints and tail != "latency_s":
+    if parameter in DEVIATIONS:
+        return "law of the twin", "calibrate in the fluid (sim2real calibrate --fluid)"
+    if head in joints and tail == "latency_s":
+        return "latency", "record steps through the robot's own link, on several days"
+    if head in joints:
         return f"servo {head}", f"record {head} on the bench, as sim2real design suggests"
-    kind = (
-        "law of the twin" if parameter in DEVIATIONS
-        else "latency" if head in joints
-        else "density" if parameter.startswith("body.normalised_density")
-        else "water" if head == "twin"
-        else "effects of the body"
-    )  # fmt: skip
-    return kind, _MEASURED_BY[kind]
+    if parameter.startswith("body.normalised_density"):
+        return "density", "weigh the links"
+    if head == "twin":
+        return "water", "record further swims in the pool and calibrate with them"
+    return "effects of the body", "record the swim that sim2real diagnose suggests"
 
 
 def first_order(parameters: Array, outcome: Array, groups: Sequence[str]) -> dict[str, float]:
