@@ -13,11 +13,11 @@ import torch
 from rl.experiments.ablation import ARMS, PAPER, model_of
 from rl.experiments.figures import aligned, bar_panels, paths_figure
 from rl.experiments.statistics import OUTCOME, bootstrap, differences, seeds_needed
-from rl.sac.checkpoint import draw_curves
+from rl.sac.checkpoint import curves_figure
 from rl.sac.plan import Plan
 from sim2real.model import Model
 from sim2real.output import write_json, write_whole
-from sim2real.report.drawing import svg
+from sim2real.report.drawing import save_png, svg
 from sim2real.report.page import Block, Note, Section, Table, Text, write_page
 from sim2real.report.page import Figure as Picture
 from sim2real.report.style import ACCENT, FAINT, INK
@@ -67,7 +67,7 @@ def write_report(
             if (run / "progress.csv").exists():
                 trained.setdefault(ARMS[agent["arm"]].title, []).append(run)
     if trained:  # pretrained agents have no curves
-        draw_curves(trained, folder / "curve.png")
+        save_png(curves_figure(trained), folder / "curve.png")
     lead = f"{len(results['agents'])} agents of {plan.steps:,} steps in the {plan.fidelity}"
     footer = footer_of(results, note)
     write_page(folder / "index.html", "Ablation", lead, sections(results, plan, values), footer)

@@ -61,18 +61,23 @@ class Forecaster:
         N, K, T = len(self.realities.models), len(controllers), self.trials
         n, samples = min(20, N), -(-(self.task.steps + 1) // 5)
         own = digest((key, list(controllers), N, T, self.seed))
-        table = _kept(file, own) or {
+        table = {
             **{name: np.full((K, N, T), np.nan) for name in FIGURES},
             "paths": np.full((K, n, samples, 2), np.nan),
             "targets": np.full((n, self.task.waypoints, 2), np.nan),
         }
-        parts = -(-N // self.settings.at_once)
-        for part in range(parts):
-            rows = self._rows(part)
+        if file is not None and file.exists():
+            with contextlib.suppress(InputError):  # a damaged file is written anew
+                kept = read_arrays(file, "trials of a forecast")
+                if str(kept.pop("digest", None)) == own:
+                    table = kept
+        size = self.settings.at_once
+        batches = np.array_split(np.arange(N), range(size, N, size))
+        for part, rows in enumerate(batches):
             head, law = rows[rows < n], np.repeat(self.realities.law[rows, 3], T)
             for k, controller in enumerate(controllers.values()):
                 if np.isnan(table["success"][k, rows]).any():
-                    episodes = self._episodes(part, controller)
+                    episodes = self._episodes(part, rows, controller)
                     figures = measured(episodes, self.task)
                     more = law * figures["energy"]  # the error of the energy of each reality
                     figures["energy"] = figures["energy"] + more
@@ -87,17 +92,12 @@ class Forecaster:
                         content: dict[str, Any] = {"digest": np.array(own), **table}
                         np.savez_compressed(stream, **content)
                         write_whole(file, stream.getvalue())
-                progress((part * K + k + 1) / (K * parts))
+                progress((part * K + k + 1) / (K * len(batches)))
         return table
 
-    def _rows(self, part: int) -> Index:
-        """Numbers of the realities of a batch."""
-        first, N = part * self.settings.at_once, len(self.realities.models)
-        return np.arange(first, min(N, first + self.settings.at_once))
-
-    def _episodes(self, part: int, who: Controller) -> Episodes:
-        """Trials of one policy in the realities of a batch."""
-        each = np.repeat(self._rows(part), self.trials)
+    def _episodes(self, part: int, rows: Index, who: Controller) -> Episodes:
+        """Trials of one policy in the realities of a batch, numbers ``rows``."""
+        each = np.repeat(rows, self.trials)
         rng, E, steps = np.random.default_rng([self.seed, part]), len(each), self.task.steps
         starts = self.task.place(rng, E, len(self.robot.joints))
         if self.residuals:
@@ -110,17 +110,6 @@ class Forecaster:
             who, self.robot, self.task, starts, int(rng.integers(2**31)), draws=draws,
             settings=self.settings, name="forecast", around=around,
         )  # fmt: skip
-
-
-def _kept(file: Path | None, own: str) -> dict[str, Array] | None:
-    """The results in a file, if they are those of the same forecast."""
-    if file is None or not file.exists():
-        return None
-    with contextlib.suppress(InputError):
-        arrays = read_arrays(file, "trials of a forecast")
-        if str(arrays.pop("digest", None)) == own:
-            return arrays
-    return None
 
 
 class Inexact:

@@ -18,7 +18,6 @@ from rl.sac.plan import Plan
 from sim2real.arrays import Array
 from sim2real.errors import InputError, library
 from sim2real.output import write_whole
-from sim2real.report.drawing import save_png
 from sim2real.report.style import ACCENT, FAINT, INK, house_style, new_figure
 from sim2real.structured import read_arrays, reason
 
@@ -167,13 +166,12 @@ def _curve(progress: Mapping[str, Array]) -> Array:
     """Steps, mean return and success of the last 64 episodes, in each row that had one, (3, n)."""
     ended = np.flatnonzero(progress["episodes"] > 0)
     weight = progress["episodes"][ended]
-    table = np.array(
-        [progress["mean_return"][ended], progress["success"][ended], np.ones(len(ended))]
-    )
+    means = [progress[name][ended] for name in ("mean_return", "success")]
+    table = np.array([*means, np.ones(len(ended))])
     sums = np.cumsum(np.hstack([np.zeros((3, 1)), table * weight]), axis=1)
     first = np.searchsorted(sums[2], sums[2, 1:] - 64, side="right") - 1  # of 64 or a few more
-    means = sums[:, 1:] - sums[:, first.clip(min=0)]
-    return np.vstack([progress["steps"][ended], means[:2] / means[2]])
+    recent = sums[:, 1:] - sums[:, first.clip(min=0)]
+    return np.vstack([progress["steps"][ended], recent[:2] / recent[2]])
 
 
 def _mean_curve(curves: Sequence[Array]) -> tuple[Array, Array]:
@@ -185,11 +183,6 @@ def _mean_curve(curves: Sequence[Array]) -> tuple[Array, Array]:
     steps = np.linspace(start, max(start, end), 100)
     table = np.array([[steps, *(np.interp(steps, c[0], c[n]) for n in (1, 2))] for c in curves])
     return table.mean(axis=0), table.std(axis=0)
-
-
-def draw_curves(agents: Mapping[str, Sequence[Path]], path: Path) -> None:
-    """Write ``curves_figure`` as a PNG file."""
-    save_png(curves_figure(agents), path)
 
 
 def curves_figure(agents: Mapping[str, Sequence[Path]]) -> Figure:

@@ -28,7 +28,7 @@ from sim2real.structured import finite_number
 
 
 class NormedPolicy(SACPolicy):
-    """SAC policy with layer normalization in the critics, as in ``batched.Layers``."""
+    """SAC policy with layer normalization in the critics, as in ``agents.Layers``."""
 
     def make_critic(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - its own
         """A critic whose hidden layers are normalised before the ReLU."""

@@ -20,7 +20,7 @@ from rl.experiments.named import controller_of, shown, with_price
 from rl.experiments.testbeds import DrawnTrials
 from rl.make import draw_models, noise_of
 from rl.observer import PAPER
-from rl.sac.checkpoint import COLUMNS, draw_curves, read_progress
+from rl.sac.checkpoint import COLUMNS, curves_figure, read_progress
 from rl.sac.plan import RECIPES, Settings, plan_of
 from rl.sac.sac import read_agent
 from rl.sac.train import Arm, Plan, train, train_in_parts, train_run
@@ -29,6 +29,7 @@ from rl.world import Draws, Noise
 from sim2real.body import values
 from sim2real.errors import InputError
 from sim2real.ranges.entry import Ranges, normal, read_ranges, uniform
+from sim2real.report.drawing import save_png
 
 POOL = Path(__file__).resolve().parents[2] / "datasets" / "pool"
 SETTINGS = Settings(hidden=(16, 16), memory=400, batch=16, warm_up=320, updates_per_step=0.1)
@@ -175,7 +176,7 @@ def test_progress_says_what_happened(robot, model, tmp_path):
     assert tuple(seen) == COLUMNS
     assert seen["steps"][-1] == PLAN.steps
     assert seen["episodes"].sum() == 48
-    draw_curves({"a": [folder]}, tmp_path / "curve.png")
+    save_png(curves_figure({"a": [folder]}), tmp_path / "curve.png")
     assert (tmp_path / "curve.png").stat().st_size > 5000
     assert json.loads((tmp_path / "run.json").read_text())["plan"]["steps"] == PLAN.steps
 
