@@ -24,7 +24,7 @@ from rl.controllers.cpg import CentralPatternGenerator, Gait
 from rl.make import Fidelity, episodes_of, make_world, own_stream
 from rl.observer import PAPER
 from rl.sac.checkpoint import write_progress
-from rl.sac.policy_zip import load_weights, read_policy_zip, read_settings, write_policy_zip
+from rl.sac.policy_zip import PolicyZip, load_weights, read_policy_zip, write_policy_zip
 from rl.sac.sac import Spaces
 from rl.sac.train import check_run
 from rl.task import TASKS
@@ -103,8 +103,8 @@ def with_phase(
 class DiscreteCPGEnv(VecEnvWrapper):
     """A vector environment whose actions are rows of a table, each used for ``table.hold`` periods.
 
-    Rewards and their terms are summed over the periods, until an episode ends. Observations include
-    sine and cosine of the first joint's phase. Actions -1 and 1 of ``venv`` are joint limits.
+    Rewards are summed over the periods, until an episode ends. Observations include sine and cosine
+    of the first joint's phase. Actions -1 and 1 of ``venv`` are joint limits.
     """
 
     def __init__(self, venv: VecEnv, table: ActionTable = TABLE) -> None:
@@ -139,13 +139,10 @@ class DiscreteCPGEnv(VecEnvWrapper):
             self.venv.step_async((2 * (angle - low) / (high - low) - 1).astype(np.float32))
             observation, rewards, done, infos = self.venv.step_wait()
             reward += np.where(ended, 0.0, rewards).astype(np.float32)
-            for e in np.flatnonzero(~ended).tolist():
-                terms = {name: x for name, x in infos[e].items() if name.startswith("reward_")}
-                sums = {name: told[e].get(name, 0.0) + x for name, x in terms.items()}
-                told[e] |= (infos[e] if done[e] else {}) | sums
             for e in np.flatnonzero(done & ~ended).tolist():
-                last = np.atleast_2d(told[e]["terminal_observation"])
-                told[e]["terminal_observation"] = with_phase(last, self._generator, [e])[0]
+                last = np.atleast_2d(infos[e]["terminal_observation"])
+                (seen,) = with_phase(last, self._generator, [e])
+                told[e] = {**infos[e], "terminal_observation": seen}
             ended |= done
             if done.any():
                 self._generator.reset(observation, mask=done)
@@ -164,31 +161,10 @@ class GaitDQN(DQN):
         write_policy_zip(path, self.policy, settings, {})
 
 
-def read_table(path: str | os.PathLike[str]) -> ActionTable | None:
-    """Read the gaits of a trained policy; None if the file has none."""
-    try:
-        content = read_settings(path)["gaits"]
-    except (InputError, KeyError):
-        return None
-    table = Fields(path, "gaits", content)
-    frequency = table.numbers("frequency_hz", "numbers")
-    size = len(frequency)
-    amplitude, offset = (
-        table.numbers(name, f"{size} numbers, as there are frequencies", size)
-        for name in ("amplitude_rad", "offset_rad")
-    )
-    hold = table.number("hold", low=1)
-    if hold > 1000:
-        raise table.error("hold", "at most 1000")
-    scalars = table.number("front"), table.number("lag_rad"), int(hold)
-    return ActionTable(np.array(frequency), np.array(amplitude), np.array(offset), *scalars)
-
-
-def read_policy(
-    path: str | os.PathLike[str], table: ActionTable, limits_rad: ArrayLike
-) -> DiscreteCPG:
-    """Read a policy of ``train_run``, of gaits ``table``, for joints with ``limits_rad`` (J, 2)."""
+def read_policy(path: str | os.PathLike[str], limits_rad: ArrayLike) -> DiscreteCPG:
+    """Read a policy of ``train_run`` for joints with ``limits_rad`` (J, 2)."""
     saved = read_policy_zip(path, "DQN")
+    table = _table(saved)
     columns, *hidden, choices = saved.widths("q_net.q_net")
     joints = len(np.asarray(limits_rad))
     if columns != 7 + 2 * joints:
@@ -201,6 +177,22 @@ def read_policy(
     model = GaitDQN("MlpPolicy", env, buffer_size=1, policy_kwargs=network, device="cpu")
     load_weights(path, model.policy, saved.weights)
     return DiscreteCPG(model, limits_rad, table)
+
+
+def _table(saved: PolicyZip) -> ActionTable:
+    """The gaits of a trained policy."""
+    table = Fields(saved.path, "", saved.settings).table("gaits")
+    frequency = table.numbers("frequency_hz", "numbers")
+    size = len(frequency)
+    amplitude, offset = (
+        table.numbers(name, f"{size} numbers, as there are frequencies", size)
+        for name in ("amplitude_rad", "offset_rad")
+    )
+    hold = table.number("hold", low=1)
+    if hold > 1000:
+        raise table.error("hold", "at most 1000")
+    scalars = table.number("front"), table.number("lag_rad"), int(hold)
+    return ActionTable(np.array(frequency), np.array(amplitude), np.array(offset), *scalars)
 
 
 COLUMNS = ("steps", "episodes", "mean_return", "success", "mean_length", "exploration")

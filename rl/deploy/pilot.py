@@ -45,9 +45,8 @@ class Measurements:
     @property
     def blind_s(self) -> float:
         """Time since the pose and all angles were last measured; infinite if never."""
-        measured = np.isfinite(np.array(self._rows))
-        t = np.array(self._t)
-        if not len(t) or not measured.any(axis=0).all():
+        t, measured = np.array(self._t), np.isfinite(np.array(self._rows))
+        if not measured.any(axis=0).all():
             return math.inf
         return float(t[-1] - min(t[column].max() for column in measured.T))
 

@@ -17,9 +17,10 @@ from rl.controllers.classical import (
     ProportionalNavigation,
     tuned,
 )
-from rl.controllers.discrete_cpg import read_policy, read_table
+from rl.controllers.discrete_cpg import read_policy
 from rl.deploy.export import read_zip
 from rl.deploy.policy import PolicyController, read_npz
+from rl.sac.policy_zip import read_settings
 from sim2real.errors import InputError
 from sim2real.robot import Robot
 
@@ -57,10 +58,13 @@ def controller_of(name: str, robot: Robot, *, gains: Path | None = None) -> Cont
         if kind == "pnl":
             return ProportionalNavigation(limits, tuned("pnl", PNLGains, pace, file))
         return DisturbanceRejection(limits, tuned("adrc", ADRCGains, pace, file))
-    if (table := read_table(name)) is not None:
-        return read_policy(name, table, limits)
     path, price = with_price(name)
-    policy = read_npz(name) if name.endswith(".npz") else read_zip(path, price=price)
+    if name.endswith(".npz"):
+        policy = read_npz(name)
+    elif price is None and read_settings(path).get("algorithm") == "DQN":
+        return read_policy(path, limits)
+    else:
+        policy = read_zip(path, price=price)
     if len(policy.joints) != len(limits):
         joints = f"{len(policy.joints)} joints"
         raise InputError(name, "joints", joints, f"{len(limits)}, as the robot has")

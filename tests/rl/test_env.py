@@ -17,7 +17,6 @@ import torch
 from gymnasium.vector import AutoresetMode
 
 import rl  # noqa: F401 - it registers sim2real/Fish-v0
-from rl.controllers.discrete_cpg import DiscreteCPGEnv
 from rl.env import FishEnv, FishVectorEnv
 from rl.make import FISH
 from rl.observer import PAPER, View
@@ -136,15 +135,6 @@ def test_the_terms_of_the_reward_add_up_to_it(world_of):
     sums = [sum(info[name] for name in names) for info in told]
     assert np.allclose(sums, rewards, atol=1e-5)
     assert [info["is_success"] for info in told] == [True, False]
-
-
-def test_the_terms_of_a_held_gait_add_up_too(world_of):
-    env = DiscreteCPGEnv(FishVecEnv(world_of(3, shortened(TASKS["near"], 15)), PAPER))
-    env.reset()
-    for _ in range(2):
-        _, rewards, _, infos = env.step(np.array([0, 7, 14]))
-        sums = [sum(info[k] for k in info if k.startswith("reward_")) for info in infos]
-        assert np.allclose(sums, rewards, atol=1e-5)
 
 
 def test_stable_baselines_logs_the_success_rate(world_of):
