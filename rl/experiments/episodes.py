@@ -96,7 +96,7 @@ def run_episodes(
     observation = world.reset()
     targets = world.targets.cpu().double().numpy()
     controller.reset()
-    pose, rate = [_copied(world.pose)], [_copied(world.rate)]
+    pose, rate = ([x.cpu().double().numpy()] for x in (world.pose, world.rate))
     value, going = [np.zeros(E)], np.ones(E, dtype=bool)
     reached, steps = np.zeros((2, E), dtype=np.int64)
     watch(going)
@@ -104,20 +104,16 @@ def run_episodes(
         action = np.where(going[:, None], controller.act(observation.cpu().numpy()), 0.0)
         step = world.step(torch.as_tensor(action, device=world.device), begin=False)
         observation = step.observation
-        value.append(np.where(going, _copied(step.reward), np.nan))
+        value.append(np.where(going, step.reward.cpu().double().numpy(), np.nan))
         steps += going
         reached = np.where(going, step.reached.cpu().numpy(), reached)
         for recorded, values in ((pose, world.pose), (rate, world.rate)):
-            recorded.append(np.where(going[:, None], _copied(values), np.nan))
+            recorded.append(np.where(going[:, None], values.cpu().double().numpy(), np.nan))
         watch(going)
         going &= ~(step.terminated | step.truncated).cpu().numpy()
         if not going.any():
             break
     return Episodes(np.array(pose), np.array(rate), np.array(value), reached, steps, targets)
-
-
-def _copied(tensor: torch.Tensor) -> Array:
-    return np.array(tensor.cpu().numpy(), dtype=np.float64)
 
 
 def energy(rate: Array) -> Array:

@@ -1,21 +1,10 @@
 """A user-defined reality: a Python file that moves and measures robots.
 
-``sim2real ablate --reality FILE.py`` tests trained policies in it. The file may import modules of
-its own folder, and defines::
-
-    def make(robot, n, seed, device, **options):
-        ...               # n robots; ``device`` is cpu or cuda:0, as training's
-        return reality
-
-    AT_ONCE = 1           # if the number of robots at a time is limited, or:
-    def at_once(**options): return 1       # the same, as a function of the options of make
-
-``reality.reset(pose, joint)`` places the robots at rest at poses (n, 3) with joint angles (n, J);
-``reality.step(desired)`` commands joint angles (n, J), held for 0.02 s. Both return measurements:
-poses (n, 3), x and y of the head's centre of mass in m and its heading in rad, in the pool's frame,
-and joint angles (n, J) as the servos report them; NaN where there is none. A robot whose episode is
-over is commanded to straight joints. A surrogate can add ``reality.rate()``, true joint rates
-(n, J) in rad/s; from reported angles half of the energy is missed.
+``docs/tutorial/your-own-test-bench.md`` describes it. The file may import modules of its own
+folder; its ``make`` may have options of its own, and ``at_once(**options)`` may stand in the place
+of ``AT_ONCE``. A robot whose episode is over is commanded to straight joints. A surrogate can add
+``reality.rate()``, true joint rates (n, J) in rad/s; from reported angles half of the energy is
+missed.
 """
 
 from __future__ import annotations

@@ -86,13 +86,6 @@ class Row(NamedTuple):
     mean_90: Sequence[float]
     next_trial_90: Sequence[float]
 
-    @property
-    def texts(self) -> tuple[str, str, str]:
-        """The mean and both intervals; that of the next trial is empty for success."""
-        shape = FIGURES[self.figure].digits
-        ends = [f"{low:{shape}} to {high:{shape}}" for low, high in self[3:]]
-        return f"{self.mean:{shape}}", ends[0], "" if self.figure == "success" else ends[1]
-
 
 @dataclass(frozen=True)
 class Forecast(NotebookDisplay):
@@ -178,9 +171,9 @@ class Forecast(NotebookDisplay):
     def content(self) -> dict[str, Any]:
         """Content of ``forecast.json``."""
         table: dict[str, dict[str, Any]] = {policy: {} for policy in self.policies}
-        for policy, figure, *values in self.rows():
-            named = dict(zip(("mean", "mean_90", "next_trial_90"), values, strict=True))
-            table[policy][figure] = {"unit": FIGURES[figure].unit, **named}
+        for row in self.rows():
+            values = {name: getattr(row, name) for name in ("mean", "mean_90", "next_trial_90")}
+            table[row.policy][row.figure] = {"unit": FIGURES[row.figure].unit, **values}
         for policy, entry in table.items():
             entry["limits"] = {str(x): self.probability(policy, x) for x in self.limits}
         found = self.update
@@ -250,7 +243,12 @@ def write_forecast_page(forecast: Forecast, path: str | os.PathLike[str]) -> Non
 
 def sections(forecast: Forecast, *, plots: bool = True) -> list[Section]:
     """Sections of the page, or those without plots."""
-    rows = [(x.policy, FIGURES[x.figure].label, *x.texts) for x in forecast.rows()]
+    rows = []
+    for policy, figure, mean, *intervals in forecast.rows():
+        shape = FIGURES[figure].digits
+        ends = [f"{low:{shape}} to {high:{shape}}" for low, high in intervals]
+        trial = "" if figure == "success" else ends[1]
+        rows.append((policy, FIGURES[figure].label, f"{mean:{shape}}", ends[0], trial))
     header = ("policy", "figure", "expected", "mean, 90 % interval", "next trial, 90 %")
     caption = (
         "The interval of the mean is that of many trials of the real robot; that of the next trial "

@@ -99,16 +99,22 @@ def read_trials(path: Path, policies: Sequence[str], limit_s: float) -> list[Tri
 def update(trials: Sequence[Trials], figures: Mapping[str, Array]) -> Update:
     """Weights of the draws after trials, given the figures of the forecast, (K, N, T) each.
 
-    Figures are compared by normal scores, as a rare failure would be most of the scatter of all
-    trials. The mean of a policy's n trials is normal about the mean of a draw, with the covariance
-    of simulated trials in one reality, or their own scatter where that is larger, by 1 / n.
+    Figures are compared by normal scores, linear beyond the draws, as a rare failure would be most
+    of the scatter of all trials. The mean of a policy's n trials is normal about the mean of a
+    draw, with the covariance of simulated trials in one reality, or their own scatter where that is
+    larger, by 1 / n.
     """
     N = next(iter(figures.values())).shape[1]
     rng = np.random.default_rng(0)
     log, observed, predicted = np.zeros(N), 0.0, np.zeros(N)
     for one in trials:
-        scores = [_scores(figures[name][one.policy], seen)
-                  for name, seen in zip(one.figures, one.values.T, strict=True)]  # fmt: skip
+        scores = []
+        for name, seen in zip(one.figures, one.values.T, strict=True):
+            values = figures[name][one.policy]
+            drawn, order = normal_scores(values), np.argsort(values, axis=None)
+            known = values.ravel()[order]
+            beyond = (seen - np.clip(seen, known[0], known[-1])) / max(float(known.std()), 1e-12)
+            scores.append((drawn, np.interp(seen, known, drawn.ravel()[order]) + beyond))
         drawn, real = (np.stack(part, axis=-1) for part in zip(*scores, strict=True))
         N, T, F = drawn.shape
         mean = np.stack([expected(drawn[:, :, f]) for f in range(F)], axis=1)
@@ -129,14 +135,6 @@ def update(trials: Sequence[Trials], figures: Mapping[str, Array]) -> Update:
         predicted += _squares(mean + chance - mean.mean(axis=0), whole)
     p_value = float((1 + np.sum(predicted >= observed)) / (1 + N))
     return Update(_flattened(log), p_value, sum(len(one.values) for one in trials))
-
-
-def _scores(drawn: Array, seen: Array) -> tuple[Array, Array]:
-    """Normal scores of a figure (N, T), and those of real trials (n,): linear beyond the draws."""
-    scores, order = normal_scores(drawn), np.argsort(drawn, axis=None)
-    known = drawn.ravel()[order]
-    beyond = (seen - np.clip(seen, known[0], known[-1])) / max(float(known.std()), 1e-12)
-    return scores, np.interp(seen, known, scores.ravel()[order]) + beyond
 
 
 def _squares(off: Array, covariance: Array) -> Array:
