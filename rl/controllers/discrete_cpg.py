@@ -32,7 +32,6 @@ from rl.vec_env import FishVecEnv
 from sim2real.arrays import Array, Array32
 from sim2real.errors import InputError, check_whole
 from sim2real.output import provenance
-from sim2real.structured import Fields
 
 
 @dataclass(frozen=True)
@@ -181,7 +180,7 @@ def read_policy(path: str | os.PathLike[str], limits_rad: ArrayLike) -> Discrete
 
 def _table(saved: PolicyZip) -> ActionTable:
     """The gaits of a trained policy."""
-    table = Fields(saved.path, "", saved.settings).table("gaits")
+    table = saved.settings.table("gaits")
     frequency = table.numbers("frequency_hz", "numbers")
     size = len(frequency)
     amplitude, offset = (

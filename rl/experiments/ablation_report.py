@@ -108,10 +108,11 @@ def rows(results: Results) -> list[dict[str, Any]]:
         agents = [agent for agent in results["agents"] if agent["arm"] == arm]
         row: dict[str, Any] = {"arm": arm}
         for testbed in results["testbeds"]:
-            row[testbed] = one = {
-                name: bootstrap([a[testbed][name] for a in agents], np.random.default_rng(0))
-                for name in (OUTCOME, "paper", "success", "time_s", "energy")
-            }
+            one: dict[str, Any] = {}
+            row[testbed] = one
+            for name in (OUTCOME, "paper", "success", "time_s", "energy"):
+                values = [agent[testbed][name] for agent in agents]
+                one[name] = bootstrap(values, np.random.default_rng(0))
             for name in ("success", "time_s", "energy"):
                 one[name], *one[f"{name}_interval"] = one[name]
         out.append(row)

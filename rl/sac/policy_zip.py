@@ -22,7 +22,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from sim2real.arrays import Array32
 from sim2real.errors import InputError, shown
 from sim2real.output import finite_json, write_whole
 from sim2real.structured import Fields, read_members, reason
@@ -60,15 +59,9 @@ _FLOAT32 = (
 class PolicyZip:
     """The content of a file."""
 
-    path: Path  # the file
-    settings: Mapping[str, Any]  # JSON values by name
+    settings: Fields  # JSON values by name
     weights: Mapping[str, Tensor]  # tensors of the networks by name, finite and of float32
     variables: Mapping[str, Tensor]  # further tensors by name, likewise
-
-    def array(self, name: str, size: int) -> Array32:
-        """A setting as an array of finite numbers, shape (size,); ``InputError`` if it is none."""
-        numbers = Fields(self.path, "", self.settings).numbers(name, f"{size} finite numbers", size)
-        return np.array(numbers, dtype=np.float32)
 
     def widths(self, layers: str, output: str | None = None) -> list[int]:
         """Number of inputs of a network, then of outputs of each of its linear layers."""
@@ -78,13 +71,8 @@ class PolicyZip:
         shapes = [tuple(self.weights[name].shape) for name in names if name in self.weights]
         if not shapes or any(len(shape) != 2 for shape in shapes):
             found_shapes = f"weights of the shapes {shapes}" if shapes else "no weights"
-            raise InputError(self.path, layers, found_shapes, "a fully connected network")
+            raise InputError(self.settings.file, layers, found_shapes, "a fully connected network")
         return [shapes[0][1], *(shape[0] for shape in shapes)]
-
-    def check(self, *, holds: bool, name: str, expected: str) -> None:
-        """Raise ``InputError`` unless a setting holds."""
-        if not holds:
-            raise InputError(self.path, name, shown(self.settings.get(name)), expected)
 
 
 def load_weights(
@@ -108,8 +96,7 @@ def write_policy_zip(
     variables: Mapping[str, Tensor],
 ) -> None:
     """Write ``policy.zip`` atomically; see ``PolicyZip``."""
-    plain = finite_json(_plain({"schema": SCHEMA, **settings}))
-    content = json.dumps(plain, indent=2, allow_nan=False)
+    content = json.dumps(finite_json({"schema": SCHEMA, **settings}), indent=2, allow_nan=False)
     archive = BytesIO()
     with zipfile.ZipFile(archive, "w") as file:
         for name, data in (
@@ -121,13 +108,6 @@ def write_policy_zip(
             entry.create_system, entry.external_attr = 3, 0o600 << 16
             file.writestr(entry, data)
     write_whole(path, archive.getvalue())
-
-
-def _plain(value: Any) -> Any:  # noqa: ANN401 - JSON, and arrays
-    """``value`` with lists in place of arrays."""
-    if isinstance(value, Mapping):
-        return {key: _plain(entry) for key, entry in value.items()}
-    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def _saved(tensors: Mapping[str, Tensor]) -> bytes:
@@ -148,7 +128,7 @@ def read_policy_zip(path: str | os.PathLike[str], algorithm: str) -> PolicyZip:
         _tensors(file, name, members[name]) if name in members else {}
         for name in ("policy.pth", "pytorch_variables.pth")
     ]
-    return PolicyZip(file, settings, *tensors)
+    return PolicyZip(Fields(file, "", settings), *tensors)
 
 
 def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
