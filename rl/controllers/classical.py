@@ -68,17 +68,18 @@ class LineOfSight:
     ``smooth`` and ``rate``, in rad/s, are low-pass filtered with the time constant ``filter_s``.
     """
 
-    def __init__(self, filter_s: ArrayLike) -> None:
+    def __init__(self, filter_s: ArrayLike, observation: NDArray[np.floating]) -> None:
+        """Begin with the observation of a control period."""
         constant = np.maximum(np.asarray(filter_s, dtype=np.float64), 1e-9)
-        self._share, self._fresh = -np.expm1(-CONTROL_S / constant), True
+        self._share = -np.expm1(-CONTROL_S / constant)
+        columns = np.asarray(observation, dtype=np.float64)
+        self.bearing = self.smooth = np.arctan2(columns[:, -1], columns[:, -2])
+        self.rate = line_of_sight_rate(observation)
 
     def update(self, observation: NDArray[np.floating]) -> None:
         """Update with the observation of a control period."""
         columns, rate = np.asarray(observation, np.float64), line_of_sight_rate(observation)
         measured, turn = np.arctan2(columns[:, -1], columns[:, -2]), 2 * np.pi
-        if self._fresh:
-            self.bearing, self.smooth, self.rate, self._fresh = measured, measured, rate, False
-            return
         continued = self.bearing + (np.mod(measured - self.bearing + np.pi, turn) - np.pi)
         self.bearing = np.where(np.abs(continued) > _COMMIT_RAD, measured, continued)
         # whole turns, where the direction changes
@@ -90,8 +91,9 @@ class LineOfSight:
 class _Steered:
     """A pattern generator whose bend follows the line of sight; the first beat is towards it."""
 
-    def __init__(self, limits_rad: ArrayLike, gains: Any, filter_s: ArrayLike = 0.0) -> None:  # noqa: ANN401
-        self._limits, self.gains, self._filter_s = limits_rad, gains, filter_s
+    def __init__(self, limits_rad: ArrayLike, gains: Any) -> None:  # noqa: ANN401
+        """Steer joints with these limits, shape (J, 2)."""
+        self._limits, self.gains = limits_rad, gains
         self.reset()
 
     def reset(self) -> None:
@@ -101,19 +103,18 @@ class _Steered:
     def act(self, observation: Array32) -> Array32:
         """Desired joint angles; see ``Controller``."""
         if self._fresh:
-            self._begin(len(observation))
-        self._sight.update(observation)
-        if self._fresh:
-            left = self._sight.bearing > 0
-            self._generator.reset(observation, np.where(left, np.pi, 0.0))
+            self._begin(observation)
+        else:
+            self._sight.update(observation)
         bend = self._bend(observation)
         self._fresh = False
         return self._generator.step(self.gains.bent(bend)).astype(np.float32)
 
-    def _begin(self, n: int) -> None:
-        """Begin with n robots."""
-        self._generator = CentralPatternGenerator(self._limits, n)
-        self._sight = LineOfSight(self._filter_s)
+    def _begin(self, observation: Array32) -> None:
+        """Begin with the robots of the first observation."""
+        self._sight = LineOfSight(getattr(self.gains, "filter_s", 0.0), observation)
+        self._generator = CentralPatternGenerator(self._limits, len(observation))
+        self._generator.reset(observation, np.where(self._sight.bearing > 0, np.pi, 0.0))
 
     def _bend(self, observation: Array32) -> Array:
         """The bend in rad, shape (E,), positive to the left."""
@@ -136,13 +137,7 @@ class ProportionalNavigation(_Steered):
     bend for the turn that it causes, and a gain on the bearing that starts the 180 degree turn::
 
         turn = navigation_s * line_of_sight_rate + pursuit * bearing
-
-    ``limits_rad`` are those of the joints, shape (J, 2); by default the gains are those tuned.
     """
-
-    def __init__(self, limits_rad: ArrayLike, gains: PNLGains | None = None) -> None:
-        gains = tuned("pnl", PNLGains) if gains is None else gains
-        super().__init__(limits_rad, gains, gains.filter_s)
 
     def _bend(self, observation: Array32) -> Array:
         turn = np.asarray(self.gains.navigation_s) * self._sight.rate
@@ -214,16 +209,11 @@ class DisturbanceRejection(_Steered):
     desired heading decays, so that past turns are forgotten; N = 1 is pure pursuit::
 
         desired = line_of_sight + lead,   lead' = (N - 1) line_of_sight' - lead / memory_s
-
-    Arguments as for ``ProportionalNavigation``.
     """
 
-    def __init__(self, limits_rad: ArrayLike, gains: ADRCGains | None = None) -> None:
-        super().__init__(limits_rad, tuned("adrc", ADRCGains) if gains is None else gains)
-
-    def _begin(self, n: int) -> None:
-        super()._begin(n)
-        g = self.gains
+    def _begin(self, observation: Array32) -> None:
+        super()._begin(observation)
+        n, g = len(observation), self.gains
         self._profile = TransientProfile(n, g.agility_rad_s2)
         self._observer = ExtendedStateObserver(n, g.observer_rad_s, g.effect_per_s2)
         self._heading, self._lead, self._turn = np.zeros((3, n))

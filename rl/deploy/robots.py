@@ -233,15 +233,9 @@ class BusRobot(Received):
 
 @contextmanager
 def bus_robot(
-    connection: Connection,
-    mountings: Sequence[Mounting],
-    rest: Array,
-    poses: str,
-    *,
-    hottest_C: float,
-    interrupted: Callable[[], bool],
-    key: bytes | None = None,
-) -> Iterator[tuple[str, BusRobot]]:
+    connection: Connection, mountings: Sequence[Mounting], rest: Array, poses: str, *,
+    hottest_C: float, interrupted: Callable[[], bool], key: bytes | None = None,
+) -> Iterator[tuple[str, BusRobot]]:  # fmt: skip
     """Context manager that moves the servos to rest and serves them; returns URL and robot.
 
     In the end they are released, and what was changed in them is restored, or ``Stopped`` raised.

@@ -88,13 +88,9 @@ def model_of(
 
 
 def arm_of(
-    name: str,
-    model: Model,
-    robot: Robot,
-    ranges: Ranges,
-    enriched: Model | None = None,
+    name: str, model: Model, robot: Robot, ranges: Ranges, enriched: Model | None = None,
     reality: Model | None = None,
-) -> Arm:
+) -> Arm:  # fmt: skip
     """An arm of ``ARMS`` to train, without the ranges of techniques that it does not use."""
     techniques = ARMS[name]
     if name == "ceiling":
@@ -117,28 +113,19 @@ def arm_of(
 
 
 def ablate(
-    folder: Path,
-    robot: Robot,
-    arms: Sequence[str],
-    agents: Sequence[Path],
-    plan: Plan,
-    testbeds: Sequence[Testbed],
-    *,
-    repeats: int = 5,
-    seed: int = 0,
-    longest: int | None = None,
-) -> dict[str, Any]:
+    folder: Path, robot: Robot, arms: Sequence[str], agents: Sequence[Path], plan: Plan,
+    testbeds: Sequence[Testbed], *, repeats: int = 5, seed: int = 0,
+) -> dict[str, Any]:  # fmt: skip
     """Test the agents of all arms; each testbed writes a file, and is skipped if it is up to date.
 
     ``agents`` are folders: all seeds of the first arm, then those of the next. ``repeats`` are
-    episodes of each agent and testbed, with starts and noise by ``seed``, of at most ``longest``
-    periods. The result has ``agents``: for each, its arm, seed and, by testbed, return (the rewards
-    discounted as in training), reward, ``paper`` (the measure of the paper: the reward with its
-    weight of energy, 0.001), success, time and energy of each repeat.
+    episodes of each agent and testbed, with starts and noise by ``seed``. The result has
+    ``agents``: for each, its arm, seed and, by testbed, return (the rewards discounted as in
+    training), reward, ``paper`` (the measure of the paper: the reward with its weight of energy,
+    0.001), success, time and energy of each repeat.
     """
     turn = TASKS["turn"]
-    task = replace(turn, energy=plan.task.energy, steps=longest or turn.steps)
-    results: dict[str, Any] = {}
+    task, results = replace(turn, energy=plan.task.energy), dict[str, Any]()
     discount = plan.settings.gamma ** (1 / plan.view.period)
     policies = [policy_in(agent) for agent in agents]
     weights = [digest([x.tobytes() for x in one.weights]) for one in policies]

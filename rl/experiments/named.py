@@ -24,9 +24,6 @@ from rl.sac.policy_zip import read_settings
 from sim2real.errors import InputError
 from sim2real.robot import Robot
 
-CONTROLLERS = ("pnl", "adrc")
-"""Classical controllers, by their names on the command line."""
-
 
 def with_price(name: str) -> tuple[str, float | None]:
     """The file and the price of energy in a name ``FILE.zip@PRICE``, or the name and no price."""
@@ -47,13 +44,13 @@ def shown(name: str) -> str:
 
 
 def controller_of(name: str, robot: Robot, *, gains: Path | None = None) -> Controller:
-    """The controller of a policy file or one of ``CONTROLLERS``, with a pace as in ``pnl-fast``.
+    """The controller of a policy file, ``pnl`` or ``adrc``, with a pace as in ``pnl-fast``.
 
     For ``FILE.zip@PRICE`` see ``set_price``; ``gains`` is a file of gains, by default the twin's.
     """
     limits = [joint.limits_rad for joint in robot.joints]
     kind, _, pace = name.partition("-")
-    if kind in CONTROLLERS and (not pace or pace in PACES):
+    if kind in ("pnl", "adrc") and (not pace or pace in PACES):
         file, pace = gains or TUNED, pace or "middle"
         if kind == "pnl":
             return ProportionalNavigation(limits, tuned("pnl", PNLGains, pace, file))

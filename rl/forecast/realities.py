@@ -102,22 +102,23 @@ class Diagnosed:
 def _servo(servo: JointModel, joint: JointRivals, rng: np.random.Generator) -> JointModel:
     """A servo with one of its sets of effects; latency and load stay the model's."""
     probability = np.array([one.probability for one in joint.sets])
-    one = joint.sets[rng.choice(len(joint.sets), p=probability / probability.sum())]
-    row = one.theta.copy()  # drawn with the signs that its fit found
-    if one.columns.size:
-        scale = np.maximum(np.abs(row[one.columns]), 1e-12)  # units differ by orders of magnitude
-        information = one.information * np.outer(scale, scale)
+    chosen = joint.sets[rng.choice(len(joint.sets), p=probability / probability.sum())]
+    row = chosen.theta.copy()  # drawn with the signs that its fit found
+    if chosen.columns.size:
+        scale = np.maximum(
+            np.abs(row[chosen.columns]), 1e-12
+        )  # units differ by orders of magnitude
+        information = chosen.information * np.outer(scale, scale)
         covariance = np.linalg.pinv(information, hermitian=True)
-        step = scale * rng.multivariate_normal(np.zeros(one.columns.size), covariance)
-        drawn = row[one.columns] + step
-        row[one.columns] = np.where(drawn * row[one.columns] < 0, 0.0, drawn)
+        step = scale * rng.multivariate_normal(np.zeros(chosen.columns.size), covariance)
+        drawn = row[chosen.columns] + step
+        row[chosen.columns] = np.where(drawn * row[chosen.columns] < 0, 0.0, drawn)
     row[:FIRST_EFFECT_COLUMN] = np.maximum(row[:FIRST_EFFECT_COLUMN], 0.0)
-    effects = []
-    for effect in CATALOGUE:
-        if effect.name in one.effects:
-            first = COLUMNS.index(f"{effect.name}.{effect.parameters[0].name}")
-            named = zip(effect.parameters, row[first : first + len(effect.parameters)], strict=True)
-            effects.append(FittedEffect(effect.name, {p.name: float(x) for p, x in named}))
+    value = dict(zip(COLUMNS, row.tolist(), strict=True))
+    effects = [
+        FittedEffect(one.name, {p.name: value[f"{one.name}.{p.name}"] for p in one.parameters})
+        for one in (effect for effect in CATALOGUE if effect.name in chosen.effects)
+    ]
     fitted = stated(row, joint.load, effects, servo.law)
     if fitted.per_inertia != servo.per_inertia:
         return servo
@@ -198,15 +199,9 @@ class Realities:
 
 
 def draw_realities(
-    robot: Robot,
-    model: Model,
-    ranges: Ranges,
-    sample: JointSample,
-    n: int,
-    rng: np.random.Generator,
-    *,
-    diagnosed: Diagnosed | None = None,
-) -> Realities:
+    robot: Robot, model: Model, ranges: Ranges, sample: JointSample, n: int,
+    rng: np.random.Generator, *, diagnosed: Diagnosed | None = None,
+) -> Realities:  # fmt: skip
     """Draw n realities, with the noise of the ranges.
 
     Velocities and energy of a calibrated body have the relative error of the twin; a body that was

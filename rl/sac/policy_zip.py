@@ -22,13 +22,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from rl.deploy.policy import LARGEST_BYTES
 from sim2real.errors import InputError, shown
 from sim2real.output import finite_json, write_whole
 from sim2real.structured import Fields, read_members, reason
 
 SCHEMA = "sim2real.policy_zip/1"
-LARGEST_BYTES = 64 * 2**20
-"""Largest unpacked file; a policy of four layers of 256 has 8 MB with its critics."""
 _MEMBERS = re.compile(
     r"data|policy\.pth|(pytorch_variables|tensors)\.pth|([a-z_]+[._])?optimizer\.pth"
     r"|_stable_baselines3_version|system_info\.txt"

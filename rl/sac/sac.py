@@ -75,13 +75,7 @@ class Spaces(gymnasium.Env[Any, Any]):
         self.action_space: Any = action
 
 
-def make_sac(
-    world: World,
-    settings: Settings,
-    seed: int,
-    *,
-    view: View = View(),  # noqa: B008 - frozen
-) -> SwimSAC:
+def make_sac(world: World, settings: Settings, seed: int, *, view: View) -> SwimSAC:
     """An untrained model for the robots of a world, observed through ``view``."""
     model = SwimSAC(
         NormedPolicy if settings.norm else "MlpPolicy",

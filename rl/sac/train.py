@@ -46,24 +46,15 @@ Report = Callable[[str, dict[str, float]], None]
 
 
 def train_run(
-    folder: Path,
-    *,
-    robot: str,
-    model: str,
-    ranges: str | None = None,
-    seeds: Sequence[int] = (0,),
-    first: Sequence[str] = (),
-    fidelity: Fidelity = "twin",
-    device: str = "cpu",
-    cell_m: float = 0.02,
-    threads: int = 1,
-    report: Report | None = None,
+    folder: Path, *, robot: str, model: str, ranges: str | None = None,
+    seeds: Sequence[int] = (0,), first: Sequence[str] = (), fidelity: Fidelity = "twin",
+    device: str = "cpu", cell_m: float = 0.02, threads: int = 1, report: Report | None = None,
     **options: Any,  # noqa: ANN401
-) -> list[Path]:
+) -> list[Path]:  # fmt: skip
     """Train one arm from files and JSON ``options`` of ``plan_of``; the folders of the agents.
 
-    ``report`` is called with an agent's name and every new row of its progress, by column; with
-    several seeds on a CPU, which are trained in several processes, it must be a picklable function.
+    With several seeds on a CPU, which are trained in several processes, ``report`` must be a
+    picklable function.
     """
     plan = plan_of(
         options, seeds=tuple(seeds), fidelity=fidelity, device=device, cell_m=cell_m,
@@ -76,15 +67,10 @@ def train_run(
 
 
 def train(
-    folder: Path,
-    robot: Robot,
-    arms: Sequence[Arm],
-    plan: Plan,
-    note: dict[str, Any] | None = None,
-    *,
-    first: Sequence[Path] = (),
+    folder: Path, robot: Robot, arms: Sequence[Arm], plan: Plan,
+    note: dict[str, Any] | None = None, *, first: Sequence[Path] = (),
     report: Report | None = None,
-) -> list[Path]:
+) -> list[Path]:  # fmt: skip
     """Train an agent for each arm and seed, all in one batch of robots.
 
     The folder gets ``run.json`` with ``note``, the provenance, ``checkpoint.npz`` and, for each
@@ -108,15 +94,10 @@ def train(
 
 
 def train_in_parts(
-    folder: Path,
-    robot: Robot,
-    arms: Sequence[Arm],
-    plan: Plan,
-    note: dict[str, Any] | None = None,
-    *,
-    first: Sequence[Path] = (),
+    folder: Path, robot: Robot, arms: Sequence[Arm], plan: Plan,
+    note: dict[str, Any] | None = None, *, first: Sequence[Path] = (),
     report: Report | None = None,
-) -> list[Path]:
+) -> list[Path]:  # fmt: skip
     """Train as ``train`` does in two processes, with every second seed: ``part-0``, ``part-1``.
 
     With one robot per agent each seed is a part of its own, as batches then save no time.

@@ -96,19 +96,20 @@ class TestLineOfSight:
         assert line_of_sight_rate(row)[0] == pytest.approx((angles[1] - angles[0]) / h, rel=1e-4)
 
     def test_a_turn_goes_on_past_the_point_behind(self) -> None:
-        sight = LineOfSight(0.0)
-        met = []
-        for angle in np.radians([170, 179, 185, 220, 230]):
-            row = np.zeros((1, 11))
-            row[0, 9:] = np.cos(angle), np.sin(angle)
+        rows = np.zeros((5, 1, 11))
+        angle = np.radians([170, 179, 185, 220, 230])
+        rows[:, 0, 9:] = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        sight = LineOfSight(0.0, rows[0])
+        met = [170.0]
+        for row in rows[1:]:
             sight.update(row)
             met.append(np.degrees(sight.smooth[0]))
         assert met == pytest.approx([170, 179, 185, 220, -130])
 
     def test_smooths_over_its_time_constant(self) -> None:
-        sight = LineOfSight(0.5)
-        for k in range(26):
-            sight.update(seen(1, target=(1.0, 0.0) if k == 0 else (1.0, 1.0)))
+        sight = LineOfSight(0.5, seen(1, target=(1.0, 0.0)))
+        for _ in range(25):
+            sight.update(seen(1, target=(1.0, 1.0)))
         assert sight.smooth[0] == pytest.approx(np.pi / 4 * (1 - np.exp(-1)))
         assert sight.bearing[0] == pytest.approx(np.pi / 4)
 
