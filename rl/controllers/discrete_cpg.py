@@ -20,7 +20,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 from tqdm import tqdm
 
-from rl.controllers.cpg import CentralPatternGenerator, Gait
+from rl.controllers.classical import CentralPatternGenerator, Gait
 from rl.make import Fidelity, episodes_of, make_world, own_stream
 from rl.observer import PAPER
 from rl.sac.checkpoint import write_progress
@@ -100,18 +100,17 @@ def with_phase(
 
 
 class DiscreteCPGEnv(VecEnvWrapper):
-    """A vector environment whose actions are rows of a table, each used for ``table.hold`` periods.
+    """A vector environment whose actions are rows of ``TABLE``, each used for its ``hold`` periods.
 
     Rewards are summed over the periods, until an episode ends. Observations include sine and cosine
     of the first joint's phase. Actions -1 and 1 of ``venv`` are joint limits.
     """
 
-    def __init__(self, venv: VecEnv, table: ActionTable = TABLE) -> None:
+    def __init__(self, venv: VecEnv) -> None:
         space: Any = venv.observation_space
         low, high = np.append(space.low, [-1, -1]), np.append(space.high, [1, 1])
         box = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
-        super().__init__(venv, box, spaces.Discrete(len(table)))
-        self.table = table
+        super().__init__(venv, box, spaces.Discrete(len(TABLE)))
         limits = np.stack([np.asarray(venv.get_attr(name)[0]) for name in ("low", "high")], axis=1)
         self._generator = CentralPatternGenerator(limits, venv.num_envs)
         self._choice = np.zeros(venv.num_envs, dtype=np.int64)
@@ -127,13 +126,13 @@ class DiscreteCPGEnv(VecEnvWrapper):
         self._choice = np.asarray(actions, dtype=np.int64)
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Simulate the choices for ``table.hold`` periods."""
-        gait, (low, high) = self.table.gait(self._choice), self._generator.limits_rad.T
+        """Simulate the choices for ``TABLE.hold`` periods."""
+        gait, (low, high) = TABLE.gait(self._choice), self._generator.limits_rad.T
         observation: Any = None
         reward = np.zeros(self.num_envs, dtype=np.float32)
         ended = np.zeros(self.num_envs, dtype=bool)
         told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        for _ in range(self.table.hold):
+        for _ in range(TABLE.hold):
             angle = self._generator.step(gait)
             self.venv.step_async((2 * (angle - low) / (high - low) - 1).astype(np.float32))
             observation, rewards, done, infos = self.venv.step_wait()

@@ -176,20 +176,15 @@ def sections(results: Results, plan: Plan, values: Table) -> list[Section]:
         f"reality. Simulation: {results['said']['simulation']}. "
         f"Reality: {results['said']['reality']}."
     )
-    effect: list[Block] = [picture(return_figure(table), "Intervals as in the table.")]
+    effect: list[Block] = [Picture(svg(return_figure(table)), "Intervals as in the table.")]
     effect += [made["returns"], Text(order_text(table)), values]
     kept = retention_text({row["arm"]: row for row in table})
     return [
         Section("Effect of each technique", kept, effect),
         Section("Loss without each technique", "", lost),
-        Section("The turns", "", [picture(trajectory_figure(results), _TURNS)]),
+        Section("The turns", "", [Picture(svg(trajectory_figure(results)), _TURNS)]),
         Section("Method", "", [method]),
     ]
-
-
-def picture(figure: Figure, caption: str = "") -> Picture:
-    """A figure for a page."""
-    return Picture(svg(figure), caption)
 
 
 def retention_text(by_arm: Mapping[str, Mapping[str, Any]]) -> str:

@@ -61,10 +61,10 @@ class Progress:
 
 
 class TensorBoard:
-    """A report of rows of progress, as ``train_run`` takes it, that TensorBoard shows live."""
+    """A report for ``train_run`` that writes rows of progress to ``folder/NAME`` as they come."""
 
     def __init__(self, folder: Path) -> None:
-        """Write each agent's events to ``folder/NAME``; MissingLibrary without TensorBoard."""
+        """MissingLibrary without TensorBoard."""
         library("tensorboard", "--tensorboard")
         self._folder, self._writers = folder, dict[str, Any]()
 
@@ -134,7 +134,13 @@ def load(folder: Path, agents: Agents) -> Progress | None:
             array = arrays[name]
             if array.shape != shape or array.dtype != np.float32 or not np.isfinite(array).all():
                 raise ValueError(f"{name} is no finite array of float32 of the shape {shape}")
-        progress = _progress(arrays["progress"].tobytes(), len(memory), steps)
+        progress = Progress(len(memory), steps)
+        progress.rows, progress.grown, progress.success = json.loads(arrays["progress"].tobytes())
+        table = np.array(progress.rows, dtype=np.float64)
+        shares = np.array([progress.grown, progress.success], dtype=np.float64)
+        agents_and_columns = (*table.shape[:1], *table.shape[2:], *shares.shape)
+        if agents_and_columns != (len(memory), len(COLUMNS), 2, len(memory)):
+            raise ValueError("progress of other agents")
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise InputError(path, "", f"a damaged one ({reason(error)})", expected) from None
     for name, tensor in state.items():
@@ -142,17 +148,6 @@ def load(folder: Path, agents: Agents) -> Progress | None:
     memory[:, :filled] = torch.from_numpy(arrays["memory"]).to(agents.device)
     agents.position = position if filled == memory.shape[1] else filled  # it may have grown
     agents.set_filled(filled)
-    return progress
-
-
-def _progress(content: bytes, A: int, steps: int) -> Progress:
-    """Progress of A agents, as ``save`` writes it; ``ValueError`` if it is anything else."""
-    progress = Progress(A, steps)
-    progress.rows, progress.grown, progress.success = json.loads(content)
-    table = np.array(progress.rows, dtype=np.float64)
-    shares = np.array([progress.grown, progress.success], dtype=np.float64)
-    if (*table.shape[:1], *table.shape[2:]) != (A, len(COLUMNS)) or shares.shape != (2, A):
-        raise ValueError("progress of other agents")
     return progress
 
 

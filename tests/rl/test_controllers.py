@@ -12,9 +12,13 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from rl.controllers import Controller
 from rl.controllers.classical import (
+    CONTROL_S,
     PACES,
     ADRCGains,
+    CentralPatternGenerator,
     DisturbanceRejection,
+    Gait,
+    Gliding,
     LineOfSight,
     PNLGains,
     ProportionalNavigation,
@@ -22,7 +26,6 @@ from rl.controllers.classical import (
     line_of_sight_rate,
     tuned,
 )
-from rl.controllers.cpg import CONTROL_S, CentralPatternGenerator, Gait, Gliding
 from rl.controllers.discrete_cpg import TABLE, DiscreteCPG, DiscreteCPGEnv
 from sim2real.errors import InputError
 

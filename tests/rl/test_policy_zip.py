@@ -49,7 +49,7 @@ def sac_of(world_of, view=View()):  # noqa: B008 - frozen
 
 
 def dqn_of(world_of):
-    agent = make_dqn(DiscreteCPGEnv(FishVecEnv(world_of(2), PAPER), TABLE), 0)
+    agent = make_dqn(DiscreteCPGEnv(FishVecEnv(world_of(2), PAPER)), 0)
     agent.gaits, agent.joints = TABLE.content(), ["j1", "j2", "j3"]
     return agent
 
