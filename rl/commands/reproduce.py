@@ -17,13 +17,7 @@ from rl.commands.evaluate import table_line, trajectories
 from rl.experiments.episodes import FIGURES, Episodes, measured, summary
 from rl.experiments.film import Film, Reel
 from rl.experiments.named import controller_of, shown, with_price
-from rl.experiments.testbeds import (
-    Controllers,
-    DrawnTrials,
-    SimulationSettings,
-    same_starts,
-    unwatched,
-)
+from rl.experiments.testbeds import DrawnTrials, SimulationSettings, trials_of
 from rl.make import draws_of
 from rl.sac.plan import Arm, plan_of
 from rl.task import CONTROL_S, TASKS, Task
@@ -226,11 +220,10 @@ def _swims(
     cell = options.reality_cell_m
     testbeds = make_testbeds(fish.robot, arms, plan, fish.ranges, reality, cell)
     testbed = next(one for one in testbeds if one.name == where)
-    who = Controllers([controller_of(name, fish.robot) for name in policies], repeats)
-    starts = same_starts(task, len(policies), repeats, options.seed, len(fish.robot.joints))
-    watcher = unwatched if reel is None else partial(Film, reel, name=where)
-    episodes = testbed.swim(who, fish.robot, task, starts, options.seed, watcher)
-    return {shown(name): episodes.of(who.owner == k) for k, name in enumerate(policies)}
+    steering = [controller_of(name, fish.robot) for name in policies]
+    watched = {} if reel is None else {"watcher": partial(Film, reel, name=where)}
+    swims = trials_of(testbed.swim, steering, fish.robot, task, repeats, options.seed, **watched)
+    return dict(zip(map(shown, policies), swims, strict=True))
 
 
 def _agents(folder: Path, file: str = "progress.csv") -> list[Path]:

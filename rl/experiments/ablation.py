@@ -15,7 +15,7 @@ import numpy as np
 from rl.deploy.export import read_zip
 from rl.deploy.policy import Policy, PolicyController, read_npz
 from rl.experiments.episodes import Episodes, energy, measured
-from rl.experiments.testbeds import Controllers, Testbed, same_starts
+from rl.experiments.testbeds import Testbed, trials_of
 from rl.make import digest, draws_of, noise_of, with_density
 from rl.sac.plan import Arm, Plan
 from rl.task import TASKS, Task
@@ -135,10 +135,10 @@ def ablate(
         key = digest((weights, robot, testbed.key, measures, task.steps, repeats, seed))
         result = read_json(path) if path.exists() else {}
         if result.get("key") != key:
-            who = Controllers([PolicyController(one) for one in policies], repeats)
-            starts = same_starts(task, len(agents), repeats, seed, len(robot.joints))
-            episodes = testbed.swim(who, robot, task, starts, seed)
-            result = {"key": key, **as_json(episodes, len(agents), task, discount)}
+            steering = [PolicyController(one) for one in policies]
+            swims = trials_of(testbed.swim, steering, robot, task, repeats, seed)
+            result = {"key": key, "agents": [as_json(one, task, discount) for one in swims]}
+            result["targets"] = swims[0].targets[:, 0].tolist()
             write_json(path, result)
         results[testbed.name] = result
     names = [(arm, s) for arm in arms for s in plan.seeds]
@@ -161,8 +161,8 @@ def policy_in(agent: Path) -> Policy:
     return read_npz(small) if small.exists() else read_zip(agent / "policy.zip")
 
 
-def as_json(episodes: Episodes, A: int, task: Task, discount: float) -> dict[str, Any]:
-    """Episodes of A agents as JSON values; time and energy as in ``episodes.measured``."""
+def as_json(episodes: Episodes, task: Task, discount: float) -> dict[str, Any]:
+    """Episodes of an agent as JSON values; time and energy as in ``episodes.measured``."""
     figures, dearer = measured(episodes, task), TASKS["turn"].energy - task.energy
     columns = {
         "return": episodes.discounted(discount),
@@ -170,23 +170,16 @@ def as_json(episodes: Episodes, A: int, task: Task, discount: float) -> dict[str
         **{name: figures[name] for name in ("reward", "time_s", "energy")},
         "faced_s": episodes.faced_s(),
     }
-    rows_of = np.arange(len(episodes.reached)).reshape(A, -1)
 
     def numbers(values: Array) -> list[float | None]:
         return [round(float(x), 6) if np.isfinite(x) else None for x in values]
 
-    agents = [
-        {
-            **{name: numbers(values[rows]) for name, values in columns.items()},
-            "success": [bool(x) for x in episodes.success[rows]],
-            "path": [
-                [numbers(point) for point in episodes.pose[::5, e, :2] if np.isfinite(point).all()]
-                for e in rows[:2]
-            ],
-        }
-        for rows in rows_of
-    ]
-    return {"agents": agents, "targets": episodes.targets[rows_of[0], 0].tolist()}
+    paths = np.moveaxis(episodes.pose[::5, :2, :2], 1, 0)  # of two episodes
+    return {
+        **{name: numbers(values) for name, values in columns.items()},
+        "success": episodes.success.tolist(),
+        "path": [[numbers(at) for at in path if np.isfinite(at).all()] for path in paths],
+    }
 
 
 def read_pretrained(folder: Path, arms: Sequence[str]) -> tuple[list[Path], tuple[int, ...]]:

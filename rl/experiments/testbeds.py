@@ -81,10 +81,16 @@ class Controllers:
         return np.asarray(np.concatenate(acted)[np.argsort(order)])
 
 
-def same_starts(task: Task, agents: int, repeats: int, seed: int, J: int) -> Starts:
-    """Starts and targets of ``repeats`` episodes, the same for each agent, agent by agent."""
-    placed = task.place(np.random.default_rng(seed), repeats, J)
-    return Starts(*(np.tile(x, (agents, *[1] * (x.ndim - 1))) for x in placed))
+def trials_of(
+    swim: Callable[..., Episodes], controllers: Sequence[Controller], robot: Robot, task: Task,
+    repeats: int, seed: int, watcher: Watcher = unwatched,
+) -> list[Episodes]:  # fmt: skip
+    """``repeats`` episodes of each controller, with the same starts for all; see ``Testbed``."""
+    placed = task.place(np.random.default_rng(seed), repeats, len(robot.joints))
+    K, who = len(controllers), Controllers(controllers, repeats)
+    starts = Starts(*(np.tile(x, (K, *[1] * (x.ndim - 1))) for x in placed))
+    swims = swim(who, robot, task, starts, seed, watcher)
+    return [swims.of(who.owner == k) for k in range(K)]
 
 
 def simulate(
@@ -116,14 +122,12 @@ class DrawnTrials:
         self, task: Task, controllers: Mapping[str, Controller], seed: int = 0
     ) -> dict[str, Episodes]:
         """The episodes of each controller, by its name."""
-        n, K = self.episodes, len(controllers)
+        n, steering = self.episodes, list(controllers.values())
         drawn = draws_of(self.model, self.ranges, self.robot, seed=seed + UNSEEN, n=n)
-        draws = [Draws((m,), drawn.noise) for m in drawn.models] * K
-        who = Controllers([*controllers.values()], n)
-        starts = same_starts(task, K, n, seed, len(self.robot.joints))
-        swims = simulate(who, self.robot, task, starts, seed,
-                         draws=draws, settings=self.settings, name=task.name)  # fmt: skip
-        return {name: swims.of(who.owner == k) for k, name in enumerate(controllers)}
+        draws = [Draws((m,), drawn.noise) for m in drawn.models] * len(steering)
+        swim = partial(simulate, draws=draws, settings=self.settings, name=task.name)
+        swims = trials_of(swim, steering, self.robot, task, n, seed)
+        return dict(zip(controllers, swims, strict=True))
 
     def summaries(
         self, tasks: Sequence[Task], controllers: Mapping[str, Controller], seed: int
