@@ -248,9 +248,9 @@ def twin_group(options: argparse.Namespace, g: int) -> None:
     task, T = task_of(options.seconds), options.trials
     controllers = named_controllers(POLICIES, robot)
     first = dict([list(controllers.items())[FIRST]])
-    simulation = SimulationSettings(at_once=R, threads=1)
+    simulation = SimulationSettings(threads=1)
     parts = [
-        Forecaster(robot, task, real, n, options.seed + k, simulation).swim(some)
+        Forecaster(robot, task, real, n, options.seed + k, simulation, at_once=R).swim(some)
         for k, (some, n) in enumerate(((controllers, T), (first, 4)))
     ]
     figures = {
@@ -313,19 +313,19 @@ def forecast_one(folder: Path, draws: int, seconds: float) -> str:
     residuals = residuals_of([recording], model, robot)
     controllers = named_controllers(POLICIES, robot)
     few = dict(list(controllers.items())[:2])
-    simulation = SimulationSettings(at_once=draws, threads=1)
+    simulation = SimulationSettings(threads=1)
     model = with_density(model, robot)
     diagnosed = read_diagnosed(diagnosis)
     drawn = draw_realities(robot, model, ranges, sample, draws, rng, diagnosed=diagnosed)
     content: dict[str, Any] = {"names": np.array(drawn.names), "parameters": drawn.values}
-    swum = Forecaster(robot, task, drawn, 2, 1, simulation, residuals).swim(controllers)
+    swum = Forecaster(robot, task, drawn, 2, 1, simulation, residuals, draws).swim(controllers)
     content |= {f"full.{name}": swum[name] for name in FIGURES}
     by_hand = draw_realities(robot, model, hand_set(ranges), sample, draws, rng)
     flat = replace(by_hand, law=np.zeros((draws, 4)), unexplained=np.zeros(6))
     body = {k: x for k, x in model.body.items() if k not in ("posterior", "interval")}
     models = tuple(replace(m, body={**body, "effects": []}) for m in flat.models)
     flat = replace(flat, models=models)
-    swum = Forecaster(robot, task, flat, 2, 1, simulation).swim(few)
+    swum = Forecaster(robot, task, flat, 2, 1, simulation, at_once=draws).swim(few)
     content |= {f"hand.{name}": swum[name] for name in FIGURES}
     np.savez_compressed(out.with_suffix(".part.npz"), **content)
     out.with_suffix(".part.npz").rename(out)

@@ -175,16 +175,13 @@ class World:
             self._past[rows] = shifted[rows]
 
     def _observed(self) -> Tensor:
-        target = self._target()
+        target = self.targets[self._row, self.waypoint]
         return observed(self._past, self._weights, target, self._bound)  # type: ignore[no-any-return]
-
-    def _target(self) -> Tensor:
-        one = self.task.waypoints == 1
-        return self.targets[:, 0] if one else self.targets[self._row, self.waypoint]
 
     def _target_distance(self) -> Tensor:
         """True distance from each head to its target."""
-        away: Tensor = torch.linalg.vector_norm(self._target() - self.pose[:, :2], dim=1)
+        target = self.targets[self._row, self.waypoint]
+        away: Tensor = torch.linalg.vector_norm(target - self.pose[:, :2], dim=1)
         return away
 
     def _tensor(self, values: Array) -> Tensor:

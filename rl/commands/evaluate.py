@@ -69,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
             for name, controller in controllers.items():
                 with own_stream(options.device):
                     world = make_world(
-                        robot, task, draws, n_envs=1, seed=options.seed, **settings.world
+                        robot, task, draws, n_envs=1, seed=options.seed, **vars(settings)
                     )
                     with Film(video, world, shown(name)) as film:
                         run_episodes(world, controller, name=name, watch=film)

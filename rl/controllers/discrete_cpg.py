@@ -275,10 +275,8 @@ def _learn(agent: GaitDQN, steps: int) -> list[list[float]]:
         ended.clear()
 
     def after_step(scope: dict[str, Any], _: dict[str, Any]) -> bool:
-        for info in scope["infos"]:
-            if "episode" in info:
-                episode = info["episode"]
-                ended.append((episode["r"], info["is_success"], episode["l"]))
+        over = [info for info in scope["infos"] if "episode" in info]
+        ended.extend((x["episode"]["r"], x["is_success"], x["episode"]["l"]) for x in over)
         done = agent.num_timesteps * TABLE.hold
         bar.update(done - bar.n)
         if done >= (len(rows) + 1) * max(1, steps // 50):

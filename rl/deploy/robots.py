@@ -44,7 +44,7 @@ class Received:
 
     def __init__(self, rest: Array, limits: Array, key: bytes | None = None) -> None:
         """Start at rest angles (J,), with the joints' limits (J, 2) in rad and a shared key."""
-        self.begun, self.session, self._asked = False, "", ""
+        self.session = ""
         self.sender: tuple[str, int] | None = None
         self._rest, self._limits, self._key = rest, limits, key
         self._desired, self._number, self._silent = rest, 0, 0
@@ -75,11 +75,10 @@ class Received:
         if sent is None:
             return False
         if sent.number == 0 and self.held:  # True for the repeated request of its computer
-            return (sent.session, sender, 0) == (self._asked, self.sender, self._number)
+            return (sent.session, sender, 0) == (self.session[:-16], self.sender, self._number)
         if sent.number == 0:
-            self._asked, self.sender = sent.session, sender
-            self.session = sent.session + secrets.token_hex(8)
-            self._number, self._silent, self.begun = 0, 0, True
+            self.session, self.sender = sent.session + secrets.token_hex(8), sender
+            self._number, self._silent = 0, 0
             return True
         step = sent.number - self._number
         ours = sender == self.sender and hmac.compare_digest(sent.session, self.session)
@@ -123,7 +122,7 @@ def serve(radio: socket.socket, robot: Received, stop: Callable[[], bool]) -> No
             with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
                 radio.sendto(robot.telemetry(), robot.sender)
         _listen(radio, robot, begin + CONTROL_S / 2)
-        if robot.begun:
+        if robot.session:
             robot.advance()
         begin += CONTROL_S
         _listen(radio, robot, begin)

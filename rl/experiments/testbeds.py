@@ -32,18 +32,12 @@ UNSEEN = 10_000
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """Arguments of ``make_world``, and the number of draws of a forecast in a batch."""
+    """Arguments of ``make_world``."""
 
     fidelity: Fidelity = "twin"
     device: str = "cpu"
     threads: int = 1
     cell_m: float = 0.02
-    at_once: int = 50
-
-    @property
-    def world(self) -> dict[str, Any]:
-        """The arguments of ``make_world``."""
-        return {k: x for k, x in vars(self).items() if k != "at_once"}
 
 
 Watcher = Callable[[World], Callable[[Mask], None]]
@@ -103,7 +97,7 @@ def simulate(
     with own_stream(settings.device):
         world = make_world(
             robot, replace(task, place=lambda *_: starts), draws, n_envs=len(starts.pose),
-            seed=seed, **settings.world, **options,
+            seed=seed, **vars(settings), **options,
         )  # fmt: skip
         return run_episodes(world, who, name=name, watch=watcher(world))
 

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -75,16 +75,6 @@ def limit_of(text: str) -> Limit:
         expected = f"FIGURE<=VALUE or FIGURE>=VALUE@SHARE, with one of {', '.join(FIGURES)}"
         raise InputError("forecast", "limit", repr(text), expected) from None
     return limit
-
-
-class Row(NamedTuple):
-    """A figure of a policy: its mean, and 90 % intervals of the mean and the next trial."""
-
-    policy: str
-    figure: str
-    mean: float
-    mean_90: Sequence[float]
-    next_trial_90: Sequence[float]
 
 
 @dataclass(frozen=True)
@@ -159,21 +149,21 @@ class Forecast(NotebookDisplay):
         """The forecast after trials of the real robot."""
         return replace(self, update=update(trials, self.figures))
 
-    def rows(self) -> list[Row]:
-        """The intervals of all policies and figures: rows of every table."""
+    def rows(self) -> list[tuple[str, str, float, list[float], list[float]]]:
+        """Policy, figure, its mean, 90 % intervals of the mean and the next trial; of all."""
         out = []
         for policy in self.policies:
             for figure in FIGURES:
                 (mean, *ends), (_, *trial) = (self.interval(policy, figure, n) for n in (np.inf, 1))
-                out.append(Row(policy, figure, mean, ends, trial))
+                out.append((policy, figure, mean, ends, trial))
         return out
 
     def content(self) -> dict[str, Any]:
         """Content of ``forecast.json``."""
         table: dict[str, dict[str, Any]] = {policy: {} for policy in self.policies}
-        for row in self.rows():
-            values = {name: getattr(row, name) for name in ("mean", "mean_90", "next_trial_90")}
-            table[row.policy][row.figure] = {"unit": FIGURES[row.figure].unit, **values}
+        for policy, figure, mean, ends, trial in self.rows():
+            intervals = {"mean": mean, "mean_90": ends, "next_trial_90": trial}
+            table[policy][figure] = {"unit": FIGURES[figure].unit, **intervals}
         for policy, entry in table.items():
             entry["limits"] = {str(x): self.probability(policy, x) for x in self.limits}
         found = self.update

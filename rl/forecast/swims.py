@@ -43,6 +43,7 @@ class Forecaster:
     seed: int
     settings: SimulationSettings
     residuals: Sequence[Array] = ()
+    at_once: int = 50  # realities in a batch
 
     def swim(
         self,
@@ -60,7 +61,7 @@ class Forecaster:
         """
         N, K, T = len(self.realities.models), len(controllers), self.trials
         n, samples = min(20, N), -(-(self.task.steps + 1) // 5)
-        own = digest((key, list(controllers), N, T, self.seed))
+        own = digest((key, list(controllers), N, T, self.seed, self.at_once))
         table = {
             **{name: np.full((K, N, T), np.nan) for name in FIGURES},
             "paths": np.full((K, n, samples, 2), np.nan),
@@ -71,8 +72,7 @@ class Forecaster:
                 kept = read_arrays(file, "trials of a forecast")
                 if str(kept.pop("digest", None)) == own:
                     table = kept
-        size = self.settings.at_once
-        batches = np.array_split(np.arange(N), range(size, N, size))
+        batches = np.array_split(np.arange(N), range(self.at_once, N, self.at_once))
         for part, rows in enumerate(batches):
             head, law = rows[rows < n], np.repeat(self.realities.law[rows, 3], T)
             for k, controller in enumerate(controllers.values()):
@@ -194,9 +194,8 @@ def blocks(residuals: Sequence[Array], periods: int, n: int, rng: np.random.Gene
     length = min(100, *(len(one) for one in residuals))
     starts = [(r, t) for r, one in enumerate(residuals) for t in range(len(one) - length + 1)]
     chosen = rng.integers(len(starts), size=(-(-periods // length), n))
-    out = np.empty((len(chosen) * length, n, residuals[0].shape[1]), dtype=np.float32)
-    for b, row in enumerate(chosen):
-        for e, pick in enumerate(row):
-            r, t = starts[pick]
-            out[b * length : (b + 1) * length, e] = residuals[r][t : t + length]
-    return out[:periods]
+    rows = (
+        np.stack([residuals[r][t : t + length] for r, t in (starts[pick] for pick in row)], axis=1)
+        for row in chosen
+    )
+    return np.concatenate([row.astype(np.float32) for row in rows])[:periods]
