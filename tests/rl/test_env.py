@@ -261,21 +261,21 @@ def test_no_row_is_swapped_at_resets(world_of):
 
 def test_reward_is_the_papers(world_of):
     world = world_of(8, "point")
-    before = torch.linalg.vector_norm(world._target() - world.pose[:, :2], dim=1)
+    before = torch.linalg.vector_norm(world.targets[:, 0] - world.pose[:, :2], dim=1)
     step = world.step(torch.full((8, 3), 0.4))
-    after = torch.linalg.vector_norm(world._target() - world.pose[:, :2], dim=1)
+    after = torch.linalg.vector_norm(world.targets[:, 0] - world.pose[:, :2], dim=1)
     expected = 10 * (before - after) - 0.001 * (world.rate**2).sum(dim=1)
     assert torch.allclose(step.reward, expected, atol=1e-5)
 
 
 def test_waypoints_follow_one_another(world_of):
     world = world_of(1, "pentagram")
-    first = world._target().clone()
+    first = world.targets[:, 0].clone()
     world.targets[0, 0] = world.pose[0, :2]
     step = world.step(torch.zeros(1, 3))
     assert world.waypoint.tolist() == [1]
     assert not step.terminated.any()
-    assert not torch.equal(world._target(), first)
+    assert not torch.equal(world.targets[:, 0], first)
 
 
 def test_noise_has_the_size_asked_for(world_of, model):
