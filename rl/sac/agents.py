@@ -225,9 +225,8 @@ class Agents:
         n, N = observation.shape[1], self.settings.memory
         rewards = torch.stack([gain, effort], dim=2)
         parts = [observation, action, rewards, following, done[..., None].float()]
-        rows, fits = torch.cat(parts, dim=2), N - self.position
-        self.memory[:, self.position : self.position + n] = rows[:, :fits]
-        self.memory[:, : max(n - fits, 0)] = rows[:, fits:]
+        places = (self.position + torch.arange(n, device=self.device)) % N
+        self.memory[:, places] = torch.cat(parts, dim=2)
         self.position = (self.position + n) % N
         self.set_filled(min(self.filled + n, N))
 

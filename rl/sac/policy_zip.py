@@ -2,7 +2,7 @@
 
 Members are ``data`` (settings, JSON), ``policy.pth`` and ``pytorch_variables.pth`` (tensors by
 name). Stable-Baselines3 pickles objects into ``data``, which are never unpickled: settings are
-taken from the text beside them, and arrays of joint angles are found by their bytes.
+taken from the text beside them, and arrays of joint angles are the bytes in the pickles' code.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import json
 import os
+import pickletools
 import re
 import zipfile
 from collections.abc import Mapping
@@ -44,14 +45,6 @@ _HARMLESS = {
 }  # fmt: skip
 """Options of Stable-Baselines3's policies that the weights show or that a saved policy ignores."""
 _RELU = "torch.nn.modules.activation.ReLU"
-_FOUND_BYTES = re.compile(
-    rb"\x8c.numpy\._?core\.numeric\x94\x8c\x0b_frombuffer\x94\x93\x94\(\x96(.{8})", re.DOTALL
-)
-_FLOAT32 = (
-    b"\x94\x8c\x05numpy\x94\x8c\x05dtype\x94\x93\x94"
-    b"\x8c\x02f4\x94\x89\x88\x87\x94R\x94(K\x03\x8c\x01<"
-)
-"""What stands before and after the numbers of an array of float32 that NumPy wrote."""
 
 
 @dataclass(frozen=True)
@@ -222,16 +215,14 @@ def _printed(text: object) -> list[float] | None:
 
 
 def _bytes(value: object) -> list[float] | None:
-    """The numbers of the array of float32 in a pickled value, which is not unpickled."""
+    """The numbers of the first array of float32 in a pickled value, which is not unpickled."""
     try:
         content = base64.b64decode(_object(value).get(":serialized:", ""), validate=True)
-    except (TypeError, ValueError):
+        operations = [(code.name, given) for code, given, _ in pickletools.genops(content)]
+    except Exception:  # damaged ones raise exceptions of many kinds
         return None
-    found = _FOUND_BYTES.search(content)
-    if found is None:
+    buffers = [given for name, given in operations if name == "BYTEARRAY8"]
+    texts = {given for _, given in operations if isinstance(given, str)}
+    if not buffers or len(buffers[0]) % 4 or not {"_frombuffer", "f4", "<"} <= texts:
         return None
-    end = found.end() + int.from_bytes(found[1], "little")
-    numbers = content[found.end() : end]
-    if len(numbers) % 4 or not content[end:].startswith(_FLOAT32):
-        return None
-    return [float(x) for x in np.frombuffer(numbers, "<f4")]
+    return [float(x) for x in np.frombuffer(buffers[0], "<f4")]
