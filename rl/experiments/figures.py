@@ -130,13 +130,9 @@ def paths_figure(
 
 
 def _panels(
-    ways: Mapping[str, Sequence[Way]],
-    label: str,
-    height: float,
-    mark: Callable[[Any, str], None],
-    *,
-    shared: bool,
-) -> Figure:
+    ways: Mapping[str, Sequence[Way]], label: str, height: float,
+    mark: Callable[[Any, str], None], *, shared: bool,
+) -> Figure:  # fmt: skip
     """A panel for each name, with what ``mark`` adds to its axes."""
     rows, columns = -(-len(ways) // 2), min(2, len(ways))
     with house_style():
