@@ -9,7 +9,6 @@ missed.
 
 from __future__ import annotations
 
-import hashlib
 import inspect
 import runpy
 import sys
@@ -22,12 +21,14 @@ import numpy as np
 import torch
 
 from rl.deploy.link import SILENCE_S
+from rl.make import digest
 from rl.task import CONTROL_S, Starts, Task
 from rl.world import Draws, World
 from sim.robot.live import Live
 from sim2real.arrays import Array, Index, Mask
 from sim2real.errors import InputError
 from sim2real.model import Model
+from sim2real.output import sha256_of
 from sim2real.robot import Robot
 from sim2real.velocity import NEWEST, slope_weights
 
@@ -71,8 +72,7 @@ def read_reality(path: Path, **options: Any) -> RealityFile:  # noqa: ANN401 - t
         at_once = by_options(**{**defaults, **options})
     if at_once is not None and (type(at_once) is not int or at_once < 1):
         raise InputError(path, "AT_ONCE", repr(at_once), "a number of robots, at least 1")
-    digests = [hashlib.sha256(file.read_bytes()).digest() for file in files]
-    sha256 = hashlib.sha256(b"".join(digests)).hexdigest()
+    sha256 = digest([sha256_of(file) for file in files])
     return RealityFile(tuple(files), sha256, {**defaults, **options}, at_once, make)
 
 

@@ -157,10 +157,9 @@ def differences(results: Mapping[str, Any], figure: str = OUTCOME) -> dict[str, 
     reference = table.pop("full", {})
     out = {}
     for arm, outcomes in table.items():
-        seeds = [seed for seed in reference if seed in outcomes]
-        if seeds:
-            samples = (np.array([rows[s] for s in seeds]) for rows in (reference, outcomes))
-            out[arm] = paired(*samples)
+        pairs = np.array([(x, outcomes[seed]) for seed, x in reference.items() if seed in outcomes])
+        if pairs.size:
+            out[arm] = paired(*pairs.T)
     return out
 
 

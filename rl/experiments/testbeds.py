@@ -21,7 +21,7 @@ from rl.sac.sac import read_agent
 from rl.sac.train import digest_of
 from rl.task import TASKS, Starts, Task
 from rl.world import Draws, World
-from sim2real.arrays import Array32, Index, Mask
+from sim2real.arrays import Array, Array32, Index, Mask
 from sim2real.model import Model
 from sim2real.ranges.entry import Ranges
 from sim2real.robot import Robot
@@ -247,16 +247,14 @@ def choose_prices(trials: DrawnTrials, folders: Sequence[Path]) -> dict[str, flo
             controllers[f"{folder}@{exponent}"] = PolicyController(policy_of(agent))
     tasks = [TASKS[name] for name in PRICED] if agents else []
     rows = trials.summaries(tasks, controllers, PRICE_SEED)
+
+    def spent(name: str) -> Array:
+        return np.array([[rows[name][task][x] for x in ("time_s", "energy")] for task in PRICED])
+
     chosen = {}
     for folder, agent in agents.items():
-        worst = [
-            max(
-                rows[f"{folder}@{exponent}"][task][spent] / max(rows["pnl"][task][spent], 1e-9)
-                for task in PRICED
-                for spent in ("time_s", "energy")
-            )
-            for exponent in EXPONENTS
-        ]
+        ratios = [spent(f"{folder}@{x}") / np.maximum(spent("pnl"), 1e-9) for x in EXPONENTS]
+        worst = [one.max() for one in ratios]
         chosen[folder.name] = float(agent.by_price["prices"] ** EXPONENTS[int(np.argmin(worst))])
         set_price(agent, chosen[folder.name])
         agent.save(folder / "policy.zip")

@@ -46,8 +46,26 @@ class Activations:
         return Activations([layer[:, :B] for layer in self.layers], sums)
 
 
-class Layers:
-    """C multilayer perceptrons (ReLU) of one shape, their gradients and Adam's moments.
+class Parameters:
+    """Parameters in one vector, with their gradient and Adam's moments."""
+
+    def __init__(self, size: int, device: torch.device) -> None:
+        self.flat, self.gradient = torch.zeros(2, size, device=device).unbind(0)
+        self.moments = torch.zeros(2, size, device=device)  # first and second
+        self.count = torch.zeros(1, device=device)  # of updates
+
+    def descend(self, rate: Tensor) -> None:
+        """One step of Adam (Kingma and Ba, 2015, Algorithm 1)."""
+        self.count += 1
+        first, second = self.moments
+        torch._fused_adam_(  # noqa: SLF001 - what torch.optim.Adam(fused=True) calls
+            [self.flat], [self.gradient], [first], [second], [], [self.count], lr=rate, beta1=0.9,
+            beta2=0.999, weight_decay=0.0, eps=1e-8, amsgrad=False, maximize=False,
+        )  # fmt: skip
+
+
+class Layers(Parameters):
+    """C multilayer perceptrons (ReLU) of one shape.
 
     ``sizes`` are the widths of all layers. With ``norm`` hidden layers are normalised before the
     ReLU, without gain and bias (Ba, Kiros, Hinton, "Layer normalization", arXiv 1607.06450).
@@ -57,9 +75,8 @@ class Layers:
         self, C: int, sizes: Sequence[int], device: torch.device, *, norm: bool = False
     ) -> None:
         pairs = list(zip(sizes[:-1], sizes[1:], strict=True))
-        total = sum(C * (a + 1) * b for a, b in pairs)
+        super().__init__(sum(C * (a + 1) * b for a, b in pairs), device)
         self.norm = norm
-        self.flat, self.gradient = torch.zeros(2, total, device=device).unbind(0)
         sizes_of_parts = [size for a, b in pairs for size in (C * a * b, C * b)]
 
         def views(vector: Tensor) -> tuple[list[Tensor], list[Tensor]]:
@@ -70,8 +87,6 @@ class Layers:
 
         self.weights, self.biases = views(self.flat)
         self._weight_gradients, self._bias_gradients = views(self.gradient)
-        self.moments = torch.zeros(2, total, device=device)  # Adam's first and second
-        self.count = torch.zeros(1, device=device)  # of updates
 
     def forward(self, x: Tensor) -> Activations:
         """Forward pass from inputs of shape (C, B, width)."""
@@ -111,19 +126,6 @@ class Layers:
                     )[0]
         return d
 
-    def descend(self, rate: Tensor) -> None:
-        """One step of Adam."""
-        adam(self.flat, self.gradient, self.moments, self.count, rate)
-
-
-def adam(flat: Tensor, gradient: Tensor, moments: Tensor, count: Tensor, rate: Tensor) -> None:
-    """Adam (Kingma and Ba, 2015, Algorithm 1), in place; parameters (P,), moments (2, P)."""
-    count += 1
-    torch._fused_adam_(  # noqa: SLF001 - what torch.optim.Adam(fused=True) calls
-        [flat], [gradient], [moments[0]], [moments[1]], [], [count],
-        lr=rate, beta1=0.9, beta2=0.999, weight_decay=0.0, eps=1e-8, amsgrad=False, maximize=False,
-    )  # fmt: skip
-
 
 def mirrored(odd: Sequence[float], J: int, device: torch.device) -> Tensor:
     """1 for each column of a transition that changes sign under mirroring; see ``View.odd``."""
@@ -156,10 +158,7 @@ class Agents:
         sizes, norm = (extra + self.O + self.J, *hidden, 1), settings.norm
         self.critic = Layers(2 * A, sizes, device, norm=norm)
         self.target = Layers(2 * A, sizes, device, norm=norm)
-        self.log_alpha = torch.zeros(A, device=device)
-        self._alpha_gradient = torch.zeros(A, device=device)
-        self._alpha_moments = torch.zeros(2, A, device=device)
-        self._alpha_count = torch.zeros(1, device=device)
+        self.log_alpha = Parameters(A, device)
         for a, model in enumerate(self.models):
             self._share(a, model)
         self.average = self.actor.flat.clone() if settings.average else self.actor.flat
@@ -199,8 +198,8 @@ class Agents:
                 for k, module in enumerate(linear):
                     tie(module, layers, k, 2 * a + i, all_rows)
         log_alpha: Any = model.log_ent_coef
-        self.log_alpha[a : a + 1].copy_(log_alpha.data)
-        log_alpha.data = self.log_alpha[a : a + 1]
+        self.log_alpha.flat[a : a + 1].copy_(log_alpha.data)
+        log_alpha.data = self.log_alpha.flat[a : a + 1]
 
     @torch.no_grad()
     def act(self, observation: Tensor, noise: Tensor | None = None) -> Tensor:
@@ -294,8 +293,8 @@ class Agents:
         activations = activations.first(B)
         action, next_action = actions[:, :B], actions[:, B:]
         log_p = log_ps[:, :B]
-        alpha = self.log_alpha.exp()[:, None]
-        torch.neg(self._entropy + log_p.mean(dim=1), out=self._alpha_gradient)
+        alpha = self.log_alpha.flat.exp()[:, None]
+        torch.neg(self._entropy + log_p.mean(dim=1), out=self.log_alpha.gradient)
 
         _, next_q = self._values(self.target, batch.following, next_action)
         value = next_q.amin(dim=1) - alpha * log_ps[:, B:]
@@ -317,8 +316,7 @@ class Agents:
         by_log_std = (by_mean * (normal * std)[:, :B] - weight) * unclamped
         self.actor.backward(activations, torch.cat([by_mean, by_log_std], dim=2))
         self.actor.descend(self._rate)
-        moments, count = self._alpha_moments, self._alpha_count
-        adam(self.log_alpha, self._alpha_gradient, moments, count, self._rate)
+        self.log_alpha.descend(self._rate)
         self.target.flat.lerp_(self.critic.flat, s.tau)
         if s.average:
             # weight of update t proportional to t^(1 / average - 1), normalised by the sum so far
@@ -328,7 +326,7 @@ class Agents:
     def losses(self) -> Tensor:
         """Losses of actor and critic on a new batch, and entropy coefficient, shape (3, A)."""
         shape, batch = (len(self.models), self.settings.batch, self.J), self._sample()
-        alpha = self.log_alpha.exp()[:, None]
+        alpha = self.log_alpha.flat.exp()[:, None]
 
         def drawn(observation: Tensor, critic: Layers) -> tuple[Tensor, Tensor]:
             noise = torch.randn(shape, device=self.device)
@@ -381,10 +379,8 @@ class Agents:
 
     def state(self) -> dict[str, Tensor]:
         """All tensors that an update changes, by name; not copies."""
-        out = {"log_alpha": self.log_alpha, "alpha_moments": self._alpha_moments}
-        out |= {"alpha_count": self._alpha_count, "average": self.average}
-        for name in ("actor", "critic", "target"):
-            layers: Layers = getattr(self, name)
-            out |= {name: layers.flat, f"{name}_moments": layers.moments}
-            out[f"{name}_count"] = layers.count
-        return out
+        networks = {"actor": self.actor, "critic": self.critic, "target": self.target}
+        out = {"log_alpha": self.log_alpha.flat, "average": self.average}
+        for name, one in {"alpha": self.log_alpha, **networks}.items():
+            out |= {f"{name}_moments": one.moments, f"{name}_count": one.count}
+        return out | {name: one.flat for name, one in networks.items()}

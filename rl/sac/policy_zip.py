@@ -221,7 +221,7 @@ def _bytes(value: object) -> list[float] | None:
         operations = [(code.name, given) for code, given, _ in pickletools.genops(content)]
     except Exception:  # damaged ones raise exceptions of many kinds
         return None
-    buffers = [given for name, given in operations if name == "BYTEARRAY8"]
+    buffers: list[Any] = [given for name, given in operations if name == "BYTEARRAY8"]
     texts = {given for _, given in operations if isinstance(given, str)}
     if not buffers or len(buffers[0]) % 4 or not {"_frombuffer", "f4", "<"} <= texts:
         return None

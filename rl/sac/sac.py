@@ -32,16 +32,10 @@ class NormedPolicy(SACPolicy):
     def make_critic(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - its own
         """A critic whose hidden layers are normalised before the ReLU."""
         critic: Any = super().make_critic(*args, **kwargs)
-        for i, original in enumerate(critic.q_networks):
-            modules: list[nn.Module] = []
-            for module in original:
-                if isinstance(module, nn.ReLU):
-                    previous: Any = modules[-1]
-                    modules.append(nn.LayerNorm(previous.out_features, elementwise_affine=False))
-                modules.append(module)
-            network = nn.Sequential(*modules).to(self.device)
-            critic.q_networks[i] = network
-            setattr(critic, f"qf{i}", network)
+        for network in critic.q_networks:
+            for k in [k for k, module in enumerate(network) if isinstance(module, nn.ReLU)][::-1]:
+                width = network[k - 1].out_features
+                network.insert(k, nn.LayerNorm(width, elementwise_affine=False))
         return critic
 
 
