@@ -41,11 +41,10 @@ from scipy.stats import kendalltau
 from benchmarks.harness import ROOT, command_line, spread
 from rl.experiments.episodes import FIGURES, measured, run_episodes
 from rl.experiments.named import named_controllers
-from rl.experiments.reality import Starts, real_world
+from rl.experiments.reality import real_world
 from rl.experiments.statistics import expected
 from rl.experiments.testbeds import Controllers, SimulationSettings
-from rl.forecast.forecast import Forecast
-from rl.forecast.page import SEALED
+from rl.forecast.forecast import SEALED, Forecast
 from rl.forecast.realities import (
     DEVIATIONS,
     TWIN_ERROR,
@@ -58,7 +57,7 @@ from rl.forecast.swims import Forecaster
 from rl.forecast.trials import OBSERVED, Trials
 from rl.make import noise_of, with_density
 from rl.sac.plan import RECIPES
-from rl.task import CONTROL_S, TASKS, Task
+from rl.task import CONTROL_S, TASKS, Starts, Task
 from sim.inference.law_error import LAW_ERROR
 from sim.inference.swims import by_twin, with_values
 from sim.twin.law import FITTED
@@ -174,8 +173,7 @@ def swim_group(options: argparse.Namespace, g: int) -> None:
     )
     controllers = named_controllers(POLICIES, robot)
     owner = np.tile(who, R)
-    made = [make(int((owner == k).sum())) for k, make in enumerate(controllers.values())]
-    steering = Controllers(made, 1)
+    steering = Controllers([*controllers.values()], 1)
     steering.owner = owner
     seen = real_world(Pool(world, rng), robot, task, Starts(*parts), "pool")
     episodes = run_episodes(seen, steering, name="reality")
@@ -250,9 +248,9 @@ def twin_group(options: argparse.Namespace, g: int) -> None:
     task, T = task_of(options.seconds), options.trials
     controllers = named_controllers(POLICIES, robot)
     first = dict([list(controllers.items())[FIRST]])
-    simulation = SimulationSettings(at_once=R, threads=1)
+    simulation = SimulationSettings(threads=1)
     parts = [
-        Forecaster(robot, task, real, n, options.seed + k, simulation).swim(some)
+        Forecaster(robot, task, real, n, options.seed + k, simulation, at_once=R).swim(some)
         for k, (some, n) in enumerate(((controllers, T), (first, 4)))
     ]
     figures = {
@@ -315,19 +313,19 @@ def forecast_one(folder: Path, draws: int, seconds: float) -> str:
     residuals = residuals_of([recording], model, robot)
     controllers = named_controllers(POLICIES, robot)
     few = dict(list(controllers.items())[:2])
-    simulation = SimulationSettings(at_once=draws, threads=1)
+    simulation = SimulationSettings(threads=1)
     model = with_density(model, robot)
     diagnosed = read_diagnosed(diagnosis)
     drawn = draw_realities(robot, model, ranges, sample, draws, rng, diagnosed=diagnosed)
     content: dict[str, Any] = {"names": np.array(drawn.names), "parameters": drawn.values}
-    swum = Forecaster(robot, task, drawn, 2, 1, simulation, residuals).swim(controllers)
+    swum = Forecaster(robot, task, drawn, 2, 1, simulation, residuals, draws).swim(controllers)
     content |= {f"full.{name}": swum[name] for name in FIGURES}
     by_hand = draw_realities(robot, model, hand_set(ranges), sample, draws, rng)
     flat = replace(by_hand, law=np.zeros((draws, 4)), unexplained=np.zeros(6))
     body = {k: x for k, x in model.body.items() if k not in ("posterior", "interval")}
     models = tuple(replace(m, body={**body, "effects": []}) for m in flat.models)
     flat = replace(flat, models=models)
-    swum = Forecaster(robot, task, flat, 2, 1, simulation).swim(few)
+    swum = Forecaster(robot, task, flat, 2, 1, simulation, at_once=draws).swim(few)
     content |= {f"hand.{name}": swum[name] for name in FIGURES}
     np.savez_compressed(out.with_suffix(".part.npz"), **content)
     out.with_suffix(".part.npz").rename(out)

@@ -44,11 +44,10 @@ from rl.controllers.classical import (
     PNLGains,
     ProportionalNavigation,
 )
-from rl.experiments.episodes import Episodes, spent
-from rl.experiments.reality import Starts
+from rl.experiments.episodes import Episodes, measured
 from rl.experiments.testbeds import Controllers, SimulationSettings, simulate
 from rl.make import draws_of, make_world
-from rl.task import CONTROL_S, TASKS, Task
+from rl.task import CONTROL_S, TASKS, Starts, Task
 from rl.world import Draws, World
 from sim.inference.swims import with_values
 from sim.twin.law import Coefficients
@@ -57,7 +56,6 @@ from sim2real.model import Model
 from sim2real.output import write_whole
 from sim2real.ranges.entry import read_ranges
 
-Placed = tuple[Array, Array, Array]
 Table = dict[str, float]
 
 POOL = ROOT / "datasets" / "pool"
@@ -128,20 +126,20 @@ def trial(name: str, n_starts: int, copies: int, seed: int) -> Trial:
         task = replace(task, waypoints=CORNERS, steps=2500)
         targets = targets[:, :CORNERS]
     pose, joint, targets = (np.repeat(x, copies, axis=0) for x in (pose, joint, targets))
-    fixed = replace(task, place=_placed(task, (pose, joint, targets)))
+    fixed = replace(task, place=_placed(task, Starts(pose, joint, targets)))
     draws = [Draws((model,)) for model in models]
     world = make_world(ROBOT, fixed, draws, n_envs=n_starts * copies, threads=1)
     return Trial(world, n_starts)
 
 
-def _placed(task: Task, starts: Placed) -> Callable[[np.random.Generator, int, int], Placed]:
+def _placed(task: Task, starts: Starts) -> Callable[[np.random.Generator, int, int], Starts]:
     """The starts for all at once; anything for robots that begin a second time."""
 
-    def place(rng: np.random.Generator, n: int, J: int) -> Placed:
-        if n == len(starts[0]):
+    def place(rng: np.random.Generator, n: int, J: int) -> Starts:
+        if n == len(starts.pose):
             return starts
-        pose, joint, targets = task.place(rng, n, J)
-        return pose, joint, targets[:, : task.waypoints]
+        drawn = task.place(rng, n, J)
+        return drawn._replace(targets=drawn.targets[:, : task.waypoints])
 
     return place
 
@@ -245,7 +243,7 @@ def built(name: str, gains: Array) -> Controller:
     """The controller of E robots, each with a row of gains (E, G)."""
     kind, build = KINDS[name]
     columns = dict(zip((one.name for one in fields(kind)), gains.T, strict=True))
-    return build(LIMITS, len(gains), kind(**columns))
+    return build(LIMITS, kind(**columns))
 
 
 def searched(options: argparse.Namespace) -> None:
@@ -287,7 +285,8 @@ IN_TRIALS = Task("turn and corners", turn_and_corners, waypoints=3, steps=1200)
 
 def costs(episodes: Episodes, price: Array) -> Array:
     """Time and energy at each robot's price, and what it missed, shape (E,)."""
-    time, energy = spent(episodes, IN_TRIALS)
+    figures = measured(episodes, IN_TRIALS)
+    time, energy = figures["time_s"], figures["energy"]
     return np.asarray(time + price * energy / 1000 + 20 * (IN_TRIALS.waypoints - episodes.reached))
 
 
@@ -307,7 +306,7 @@ def swum(gains: dict[Any, Array], options: argparse.Namespace, seed: int) -> dic
     settings = SimulationSettings(options.fidelity, options.device, cell_m=options.cell_m)
     steering = Controllers(controllers, n * S // len(controllers))
     episodes = simulate(
-        ROBOT, IN_TRIALS, tiled, own * n, steering, settings, seed=seed, name="trials"
+        steering, ROBOT, IN_TRIALS, tiled, seed, draws=own * n, settings=settings, name="trials"
     )
     table = costs(episodes, np.concatenate(price)).reshape(len(SEARCHES), C, S)
     return dict(zip(SEARCHES, table, strict=True))

@@ -152,7 +152,11 @@ class Observer:
         xp, J, view = self._xp, len(self._low), self.view
         ahead, leftward = raw[:, -2], raw[:, -1]
         if view.scaled or view.sides:
-            self._bearing = bearing = self._with_hysteresis(xp.arctan2(leftward, ahead))
+            bearing, turn = xp.arctan2(leftward, ahead), 2 * np.pi
+            # beyond pi if the target crossed the axis behind the robot: a hysteresis
+            wrapped = xp.where(bearing > 0, bearing - turn, bearing + turn)
+            crossed = (bearing * self._bearing < 0) & (abs(wrapped) <= KEPT_RAD)
+            self._bearing = bearing = xp.where(crossed, wrapped, bearing)
         parts = [raw]
         if view.scaled:
             distance = xp.sqrt(ahead**2 + leftward**2)
@@ -167,13 +171,6 @@ class Observer:
         if view.memory:
             parts.append(self._decisions[:, : view.memory].reshape(-1, view.memory * J))
         return xp.concatenate(parts, 1)
-
-    def _with_hysteresis(self, bearing: Any) -> Any:  # noqa: ANN401
-        """The bearing, beyond pi if the target crossed the axis behind the robot."""
-        xp, turn = self._xp, 2 * np.pi
-        wrapped = xp.where(bearing > 0, bearing - turn, bearing + turn)
-        crossed = (bearing * self._bearing < 0) & (abs(wrapped) <= KEPT_RAD)
-        return xp.where(crossed, wrapped, bearing)
 
     def decide(self, action: Any) -> None:  # noqa: ANN401
         """Store decisions between -1 and 1, shape (E, J)."""

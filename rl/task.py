@@ -14,7 +14,7 @@ import numpy as np
 from torch import Tensor
 
 from rl.observer import CONTROL_S as CONTROL_S
-from sim2real.arrays import Array
+from sim2real.arrays import Array, Index
 
 DOMAIN_M = (3.6, 3.6)
 """Length and width of the pool; its centre is the origin."""
@@ -27,14 +27,16 @@ def reward(task: Task, nearer: Tensor, energy: Tensor, ending: Tensor) -> Tensor
     return task.approach * nearer + ending - task.energy * energy
 
 
-def bonus(task: Task, reached: Tensor, outside: Tensor) -> Tensor:
-    """Term of the reward for arrival (positive) or leaving the pool (negative), shape (E,)."""
-    return task.bonus * (reached.float() - outside.float())
+class Starts(NamedTuple):
+    """Where n episodes begin: poses (n, 3), joint angles (n, J), waypoints (n, W, 2)."""
 
+    pose: Array
+    joint: Array
+    targets: Array
 
-def effort(rate: Tensor) -> Tensor:
-    """The paper's energy of a control period, |J'|^2 in rad^2/s^2, shape (E,)."""
-    return (rate**2).sum(dim=1)
+    def of(self, rows: Index) -> Starts:
+        """The starts of some of the episodes."""
+        return Starts(*(x[rows] for x in self))
 
 
 @dataclass(frozen=True)
@@ -42,9 +44,8 @@ class Task:
     """Definition of a task."""
 
     name: str  # name of the task
-    # function of a random generator, n and J that draws initial poses (n, 3), joint angles (n, J)
-    # and waypoints (n, W, 2)
-    place: Callable[[np.random.Generator, int, int], tuple[Array, Array, Array]]
+    # function of a random generator, n and J that draws starts
+    place: Callable[[np.random.Generator, int, int], Starts]
     waypoints: int = 1  # number of waypoints W; an episode ends at the last
     steps: int = 1000  # time limit of an episode, in control periods
     arrive_m: float = 0.05  # distance at which a waypoint is reached
@@ -56,21 +57,22 @@ class Task:
     domain_m: tuple[float, float] = DOMAIN_M
 
 
-def point(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
+def point(rng: np.random.Generator, n: int, J: int) -> Starts:
     """Random start and target in the pool, random heading and small joint angles."""
     pose = np.column_stack([rng.uniform(-_HALF_M, _HALF_M, (n, 2)), rng.uniform(-np.pi, np.pi, n)])
-    return pose, rng.uniform(-0.2, 0.2, (n, J)), rng.uniform(-_HALF_M, _HALF_M, (n, 1, 2))
+    joint = rng.uniform(-0.2, 0.2, (n, J))
+    return Starts(pose, joint, rng.uniform(-_HALF_M, _HALF_M, (n, 1, 2)))
 
 
-def near(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
+def near(rng: np.random.Generator, n: int, J: int) -> Starts:
     """As ``point``, with the target 0.3 to 1 m away in a random direction, for quick training."""
     pose, joint, _ = point(rng, n, J)
     pose[:, :2] *= 0.4
     target = pose[:, :2] + _ways(rng, rng.uniform(0.3, 1.0, n))
-    return pose, joint, target[:, None]
+    return Starts(pose, joint, target[:, None])
 
 
-def mixed(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
+def mixed(rng: np.random.Generator, n: int, J: int) -> Starts:
     """As ``point``, for training: targets 0.12 to 2 m away, uniform in the distance's logarithm."""
     pose, joint, target = point(rng, n, J)
     away, todo = _distances(rng, n), np.arange(n)
@@ -78,7 +80,7 @@ def mixed(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array
         pose[todo, :2] = rng.uniform(-_HALF_M, _HALF_M, (todo.size, 2))
         target[todo, 0] = pose[todo, :2] + _ways(rng, away[todo])
         todo = todo[(np.abs(target[todo, 0]) > _HALF_M).any(axis=1)]
-    return pose, joint, target
+    return Starts(pose, joint, target)
 
 
 def _distances(rng: np.random.Generator, n: int) -> Array:
@@ -92,7 +94,7 @@ def _ways(rng: np.random.Generator, away: Array) -> Array:
     return np.asarray(away[:, None] * np.stack([np.cos(around), np.sin(around)], axis=1))
 
 
-def chain(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
+def chain(rng: np.random.Generator, n: int, J: int) -> Starts:
     """Three successive targets, each at a distance from the previous one as in ``mixed``.
 
     40 % of the episodes start as in ``turn``, with the first target behind the robot: the most
@@ -109,16 +111,16 @@ def chain(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array
         while todo.size:
             following[todo, 0] = last[todo, 0] + _ways(rng, _distances(rng, todo.size))
             todo = todo[(np.abs(following[todo, 0]) > _HALF_M).any(axis=1)]
-    return pose, joint, np.concatenate(ways, axis=1)
+    return Starts(pose, joint, np.concatenate(ways, axis=1))
 
 
-def turn(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
+def turn(rng: np.random.Generator, n: int, J: int) -> Starts:
     """A turn by 180 degrees: at rest, straight, the target 1.5 m behind, at a random place."""
     heading = rng.uniform(-np.pi, np.pi, n)
     ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1)
     middle = rng.uniform(-0.3, 0.3, (n, 2))
     pose = np.column_stack([middle + 0.75 * ahead, heading])
-    return pose, np.zeros((n, J)), (middle - 0.75 * ahead)[:, None]
+    return Starts(pose, np.zeros((n, J)), (middle - 0.75 * ahead)[:, None])
 
 
 class Zone(NamedTuple):
@@ -136,14 +138,14 @@ START_ZONE, TARGET_ZONE = Zone(-1.0), Zone(1.0)
 """Zones of the task ``zones``; the paper's Fig. 4 does not state where they are."""
 
 
-def zones(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
+def zones(rng: np.random.Generator, n: int, J: int) -> Starts:
     """At rest at a random place of the start zone, facing the target zone within 30 degrees."""
     heading = rng.uniform(-np.pi / 6, np.pi / 6, n)
     pose = np.column_stack([START_ZONE.draw(rng, n), heading])
-    return pose, np.zeros((n, J)), TARGET_ZONE.draw(rng, n)[:, None]
+    return Starts(pose, np.zeros((n, J)), TARGET_ZONE.draw(rng, n)[:, None])
 
 
-def pentagram(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
+def pentagram(rng: np.random.Generator, n: int, J: int) -> Starts:
     """A five-pointed star of radius 1.2 m: 21 waypoints, four per side and the first again."""
     angle = np.pi / 2 + 4 * np.pi / 5 * np.arange(6)
     corner = 1.2 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -153,12 +155,11 @@ def pentagram(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, A
     ahead = np.arctan2(*(corner[1] - corner[0])[::-1])
     start = corner[0] - 0.15 * np.array([np.cos(ahead), np.sin(ahead)])
     pose = np.column_stack([start + rng.normal(0, 0.02, (n, 2)), ahead + rng.normal(0, 0.1, n)])
-    return pose, np.zeros((n, J)), np.tile(path, (n, 1, 1))
+    return Starts(pose, np.zeros((n, J)), np.tile(path, (n, 1, 1)))
 
 
-POINT = Task("point", point)
 TASKS = {
-    "point": POINT,
+    "point": Task("point", point),
     "near": Task("near", near, steps=500),
     "mixed": Task("mixed", mixed),
     "chain": Task("chain", chain, waypoints=3),

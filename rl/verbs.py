@@ -86,6 +86,7 @@ def forecast(
     from rl.forecast.trials import read_trials
     from rl.sac.plan import RECIPES
     from rl.task import CONTROL_S, TASKS
+    from sim.twin.law import is_calibrated
     from sim2real.ranges.entry import read_ranges
 
     check_choice("forecast", "task", task, TASKS)
@@ -115,27 +116,21 @@ def forecast(
         file = None if kept is None else Path(kept)
         swum = forecaster.swim(controllers, file=file, key=key, progress=progress)
     trained = {
-        name: made.policy.provenance.get("trained_over", {})
-        for name, make in controllers.items()
-        if isinstance(made := make(1), PolicyController)
+        name: one.policy.provenance.get("trained_over", {})
+        for name, one in controllers.items()
+        if isinstance(one, PolicyController)
     }
+    notes = []
+    if not is_calibrated(known.body):
+        notes.append("the body is not calibrated: its law is as uncertain as that of any robot")
+    elif not {"posterior", "interval"} & known.body.keys():
+        notes.append("the body's calibration states no uncertainty: it counts as exact")
+    if not residuals and not drawn.unexplained.any():
+        notes.append("the model states no error of its fit: trials are not disturbed")
     figures = {name: swum[name] for name in FIGURES}
     out = Forecast(
         fish.name, task, tuple(controllers), tuple(joint.name for joint in fish.joints), figures,
         drawn.names, drawn.values, swum["paths"], swum["targets"], rank_by, trained, stated,
-        notes=_notes(known, bool(residuals or drawn.unexplained.any())), provenance=origin,
+        notes=tuple(notes), provenance=origin,
     )  # fmt: skip
     return out.after(found) if found else out
-
-
-def _notes(model: Model, disturbed: bool) -> tuple[str, ...]:
-    from sim.twin.law import is_calibrated
-
-    notes = []
-    if not is_calibrated(model.body):
-        notes.append("the body is not calibrated: its law is as uncertain as that of any robot")
-    elif not {"posterior", "interval"} & model.body.keys():
-        notes.append("the body's calibration states no uncertainty: it counts as exact")
-    if not disturbed:
-        notes.append("the model states no error of its fit: trials are not disturbed")
-    return tuple(notes)

@@ -15,9 +15,9 @@ from torch import Tensor
 from torch.utils.dlpack import from_dlpack
 
 from rl.observer import Observer, View, observation_bounds, observed
-from rl.task import Task, bonus, effort, reward
+from rl.task import Task, reward
 from sim.robot.live import Simulator
-from sim2real.arrays import Array, Index
+from sim2real.arrays import Array
 from sim2real.model import Model
 from sim2real.velocity import NEWEST, slope_weights
 
@@ -78,13 +78,17 @@ class World:
         self._half = self._tensor(np.array(task.domain_m) / 2)
         self._bound = self._tensor(np.array(observation_bounds(J)))
         self._weights = self._tensor(slope_weights())
-        self._sd = self._tensor(np.stack([_deviations(d.noise, J) for d in self._draws]))
+        noise = [one.noise for one in self._draws]
+        body = [[n.position_m, n.position_m, n.yaw_rad] for n in noise]
+        joint = [np.broadcast_to(n.joint_rad, J) for n in noise]
+        self._sd = self._tensor(np.concatenate([body, joint], axis=1))
         self._past = torch.zeros(E, NEWEST, 3 + J, device=self.device)
         self.targets = torch.zeros(E, task.waypoints, 2, device=self.device)  # in m
         self._row = torch.arange(E, device=self.device)
         counts = torch.zeros(2, E, dtype=torch.long, device=self.device)
         self.waypoint, self.elapsed = counts.unbind(0)  # to swim to; steps of the episode
         self._distance = torch.zeros(E, device=self.device)
+        self._last = torch.zeros(E, len(self._bound), device=self.device)
         self.seed(seed)
         self.reset()
 
@@ -95,9 +99,7 @@ class World:
 
     def reset(self) -> Tensor:
         """Start an episode in all environments; the first observations, shape (E, O)."""
-        self._begin(np.arange(self.n_envs))
-        self._last = self._observed()
-        return self._last
+        return self.begin(torch.ones(self.n_envs, dtype=torch.bool, device=self.device))
 
     def step(self, action: Tensor, *, begin: bool = True) -> Step:
         """Send set-points in rad (E, J), clipped to the limits, and simulate a control period."""
@@ -110,8 +112,8 @@ class World:
         reached = distance < self.task.arrive_m
         stopped = self._stopped
         active = (~stopped).float()
-        energy = active * effort(self.rate)
-        ending = active * bonus(self.task, reached, left_pool)
+        energy = active * (self.rate**2).sum(dim=1)
+        ending = active * (self.task.bonus * (reached.float() - left_pool.float()))
         value = reward(self.task, active * (self._distance - distance), energy, ending)
         self.waypoint += reached
         done = self.waypoint >= self.task.waypoints
@@ -128,31 +130,26 @@ class World:
 
     def begin(self, mask: Tensor) -> Tensor:
         """Start an episode where ``mask`` (E,) is true; the observations of all environments."""
-        ended = torch.nonzero(mask)[:, 0]
-        if len(ended):
-            self._begin(ended.cpu().numpy())
-            self._last = torch.where(mask[:, None], self._observed(), self._last)
-        return self._last
-
-    def _begin(self, environments: Index) -> None:
-        """Start an episode in the environments with these indices."""
-        simulator, rng, n = self.simulator, self.rng, len(environments)
+        rows = torch.nonzero(mask)[:, 0]
+        if not len(rows):
+            return self._last
+        simulator, rng, begun = self.simulator, self.rng, rows.cpu().numpy()
         J = len(simulator.robot.joints)
-        drawn = [self._draws[e].models for e in environments]
-        simulator.adopt(environments, [models[rng.integers(len(models))] for models in drawn])
-        start, bent, targets = self.task.place(rng, n, J)
-        mask = np.zeros(self.n_envs, dtype=bool)
+        drawn = [self._draws[e].models for e in begun]
+        simulator.adopt(begun, [models[rng.integers(len(models))] for models in drawn])
+        start, bent, targets = self.task.place(rng, len(begun), J)
         pose, joint = np.zeros((self.n_envs, 3)), np.zeros((self.n_envs, J))
-        mask[environments], pose[environments], joint[environments] = True, start, bent
-        simulator.reset(mask, pose, joint)
+        pose[begun], joint[begun] = start, bent
+        simulator.reset(mask.cpu().numpy(), pose, joint)
         self._current = self._tensor(np.pad(simulator.current, ((0, 0), (0, 1))))
-        rows = torch.as_tensor(environments, device=self.device)
         self.targets[rows] = self._tensor(targets)
         self.waypoint[rows] = self.elapsed[rows] = 0
         self._read()
         self._distance[rows] = self._target_distance()[rows]
         for _ in range(NEWEST):
             self._remember(rows)
+        self._last = torch.where(mask[:, None], self._observed(), self._last)
+        return self._last
 
     def _read(self) -> None:
         """Read the true state from the simulator."""
@@ -178,26 +175,17 @@ class World:
             self._past[rows] = shifted[rows]
 
     def _observed(self) -> Tensor:
-        target = self._target()
+        target = self.targets[self._row, self.waypoint]
         return observed(self._past, self._weights, target, self._bound)  # type: ignore[no-any-return]
-
-    def _target(self) -> Tensor:
-        one = self.task.waypoints == 1
-        return self.targets[:, 0] if one else self.targets[self._row, self.waypoint]
 
     def _target_distance(self) -> Tensor:
         """True distance from each head to its target."""
-        away: Tensor = torch.linalg.vector_norm(self._target() - self.pose[:, :2], dim=1)
+        target = self.targets[self._row, self.waypoint]
+        away: Tensor = torch.linalg.vector_norm(target - self.pose[:, :2], dim=1)
         return away
 
     def _tensor(self, values: Array) -> Tensor:
         return torch.as_tensor(np.array(values), dtype=torch.float32).to(self.device)
-
-
-def _deviations(noise: Noise, J: int) -> Array:
-    """Standard deviations of x, y, heading and joint angles, shape (3 + J,)."""
-    per_joint = np.broadcast_to(np.asarray(noise.joint_rad), (J,))
-    return np.concatenate([[noise.position_m, noise.position_m, noise.yaw_rad], per_joint])
 
 
 class Decisions:
@@ -213,13 +201,11 @@ class Decisions:
 
     def reset(self) -> Tensor:
         """Start an episode in all environments; the first observations, shape (E, F)."""
-        return self._begun(self.world.reset())
+        return self.begin(torch.ones_like(self.world.elapsed, dtype=torch.bool))
 
     def begin(self, mask: Tensor) -> Tensor:
         """Start an episode where ``mask`` (E,) is true; the observations of all environments."""
-        return self._begun(self.world.begin(mask), mask)
-
-    def _begun(self, raw: Tensor, mask: Tensor | None = None) -> Tensor:
+        raw = self.world.begin(mask)
         self.observer.begin(raw, mask)
         return self.observer.observe(raw)  # type: ignore[no-any-return]
 

@@ -102,6 +102,6 @@ def _write_policies(folder: Path) -> None:
     agent.save(folder / "sac.zip")
     SAC.save(agent, folder / "old.zip")
     write_policy(policy_of(agent), folder / "policy.npz", ("npz",))
-    discrete = make_dqn(DiscreteCPGEnv(FishVecEnv(world, PAPER), TABLE), 0)
+    discrete = make_dqn(DiscreteCPGEnv(FishVecEnv(world, PAPER)), 0)
     discrete.gaits, discrete.joints = TABLE.content(), ["j1", "j2", "j3"]
     discrete.save(folder / "dqn.zip")

@@ -222,7 +222,6 @@ def _swim(results: dict[str, Any], options: argparse.Namespace, out: Path, model
     else:
         policy = options.pool / demo_pool.PRETRAINED / best / "policy.npz"
     film, robot = check_writable(options.out / "swim.gif"), demo_pool.robot_in(options.pool)
-    limits = [joint.limits_rad for joint in robot.joints]
     with _stage("swim", "the policy with all techniques, in the fluid"):
         world = make_world(
             robot, shortened(TASKS["turn"], LONGEST), Draws((model,)), n_envs=1, fidelity="fluid",
@@ -230,7 +229,7 @@ def _swim(results: dict[str, Any], options: argparse.Namespace, out: Path, model
         )  # fmt: skip
         name = "trained in the twin, tested in the fluid"
         with Video(film) as video, Film(video, world, name, width=480) as watch:
-            trial = run_episodes(world, controller_of(str(policy), limits, 1), watch=watch)
+            trial = run_episodes(world, controller_of(str(policy), robot), watch=watch)
     time_s = float(trial.time_s[0])
     outcome = f"It has not arrived after {LONGEST / 50:.0f} s."
     if np.isfinite(time_s):

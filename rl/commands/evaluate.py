@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,11 +44,10 @@ def run(options: argparse.Namespace) -> int:
     )
     task = replace(TASKS[options.task], energy=weight)
     names = list(dict.fromkeys(options.policies))
-    limits = [joint.limits_rad for joint in robot.joints]
-    makers = {name: partial(controller_of, name, limits, gains=options.gains) for name in names}
+    controllers = {name: controller_of(name, robot, gains=options.gains) for name in names}
     settings = SimulationSettings(options.fidelity, options.device, options.threads, options.cell_m)
     trials = DrawnTrials(robot, model, ranges, options.episodes, settings)
-    swims = trials.run(task, makers, options.seed)
+    swims = trials.run(task, controllers, options.seed)
     table = {name: summary(episodes, task) for name, episodes in swims.items()}
     content: dict[str, Any] = {"task": options.task, "fidelity": options.fidelity}
     options.result = {**content, "results": table}
@@ -68,13 +66,13 @@ def run(options: argparse.Namespace) -> int:
     if options.video is not None:
         draws = draws_of(model, ranges, robot, seed=options.seed + UNSEEN, n=1)
         with Video(options.video) as video:
-            for name, make in makers.items():
+            for name, controller in controllers.items():
                 with own_stream(options.device):
                     world = make_world(
-                        robot, task, draws, n_envs=1, seed=options.seed, **settings.world
+                        robot, task, draws, n_envs=1, seed=options.seed, **vars(settings)
                     )
                     with Film(video, world, shown(name)) as film:
-                        run_episodes(world, make(1), name=name, watch=film)
+                        run_episodes(world, controller, name=name, watch=film)
     return 0
 
 
@@ -91,7 +89,7 @@ def table_line(name: str, row: dict[str, Any]) -> str:
 
 def trajectories(swims: Mapping[str, Episodes]) -> Figure:
     """Trajectories over the pool, a panel for each policy."""
-    from rl.experiments.paths import pool_figure
+    from rl.experiments.figures import pool_figure
 
     ways, notes = {}, {}
     for name, episodes in swims.items():

@@ -24,7 +24,7 @@ def run(options: argparse.Namespace) -> int:
     if not options.no_page:
         page = beside(out, f"{out.stem}.html")
         with if_installed("page"):
-            from rl.forecast.page import write_forecast_page
+            from rl.forecast.forecast import write_forecast_page
 
             write_forecast_page(forecast, page)
             print(f"\npage: {page}")

@@ -16,14 +16,8 @@ from rl.commands.ablate import make_testbeds, reality_of
 from rl.commands.evaluate import table_line, trajectories
 from rl.experiments.episodes import FIGURES, Episodes, measured, summary
 from rl.experiments.film import Film, Reel
-from rl.experiments.named import shown, with_price
-from rl.experiments.testbeds import (
-    Controllers,
-    DrawnTrials,
-    SimulationSettings,
-    same_starts,
-    unwatched,
-)
+from rl.experiments.named import controller_of, shown, with_price
+from rl.experiments.testbeds import DrawnTrials, SimulationSettings, trials_of
 from rl.make import draws_of
 from rl.sac.plan import Arm, plan_of
 from rl.task import CONTROL_S, TASKS, Task
@@ -100,7 +94,7 @@ def learning_curves(options: argparse.Namespace, _: Fish) -> tuple[Section, Any]
 
 def stages(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     """Policies kept in a training, between the start zone and the target zone (Fig. 4 b)."""
-    from rl.experiments.paths import zones_figure
+    from rl.experiments.figures import zones_figure
     from rl.sac.checkpoint import read_progress
 
     last = int(read_progress(_agents(options.run)[0])["steps"][-1])
@@ -108,8 +102,8 @@ def stages(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     kept = sorted(agent.glob("policy-*.*"), key=_steps)
     trials = DrawnTrials(fish.robot, fish.model, None, options.episodes or 10, fish.settings)
     files = dict(zip("ABCDEFGH", [*kept, _policy(agent)], strict=False))
-    makers = {letter: trials.maker(str(file)) for letter, file in files.items()}
-    swims = trials.run(TASKS["zones"], makers, options.seed)
+    controllers = {letter: controller_of(str(file), fish.robot) for letter, file in files.items()}
+    swims = trials.run(TASKS["zones"], controllers, options.seed)
     ways = {name: _paths(one) for name, one in swims.items()}
     rows = {name: summary(one, TASKS["zones"]) for name, one in swims.items()}
     notes = {name: f"{_steps(file) or last:,} steps" for name, file in files.items()}
@@ -126,7 +120,7 @@ def stages(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
 
 def calibration(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     """Recorded swims and their simulation, as functions of time (Fig. 3)."""
-    from rl.experiments.compared import Compared, compared_figure
+    from rl.experiments.figures import compared_figure, compared_signals
     from sim.inference.swims import by_fluid, by_twin, seen, swim_of
     from sim2real.body import values
 
@@ -137,19 +131,22 @@ def calibration(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     for swim in swims:
         track = simulator([fish.model], swim.command, swim.start)
         signals = seen(swim.t, track, [values(fish.model)])[0]
-        one = Compared(swim, signals, np.unwrap(track[0, :, 2]))
-        shown.append(one)
-        errors[swim.name] = one.errors()
+        rows = compared_signals(swim, signals, np.unwrap(track[0, :, 2]))
+        shown.append((swim, rows))
+        errors[swim.name] = {
+            label: float(np.sqrt(np.nanmean(np.square(measured - simulated))))
+            for label, (measured, simulated) in rows.items()
+        }
     figure = _figure(options, "calibration", compared_figure(shown), "Joint 1 is the foremost.")
-    rows = [(name, *(f"{x:#.3g}" for x in row.values())) for name, row in errors.items()]
-    table = Table(("swim", *next(iter(errors.values()))), rows, "Root mean square errors.")
+    lines = [(name, *(f"{x:#.3g}" for x in row.values())) for name, row in errors.items()]
+    table = Table(("swim", *next(iter(errors.values()))), lines, "Root mean square errors.")
     lead = "Measured (red) and simulated (blue, dashed) from the recorded commands."
     return Section("Calibration", lead, [figure, table]), errors
 
 
 def turn(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     """The turn by 180 degrees, simulated and in reality, as stills and as a film (Fig. 5)."""
-    from rl.experiments.compared import in_step, stills_figure
+    from rl.experiments.figures import in_step, stills_figure
 
     check_video(options.out / "turn.mp4")
     policy = (options.policies or [str(_policy(_best(options.run)))])[0]
@@ -182,7 +179,7 @@ def turn(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
 
 def pentagram(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     """Four controllers at 21 waypoints: paths, time and energy (Fig. 6 and 7)."""
-    from rl.experiments.paths import bars_figure
+    from rl.experiments.figures import bars_figure
 
     chosen = options.policies or [str(_policy(_best(options.run))), "pnl", "adrc", str(_GAITS)]
     task, repeats = TASKS["pentagram"], options.episodes or 3
@@ -223,12 +220,10 @@ def _swims(
     cell = options.reality_cell_m
     testbeds = make_testbeds(fish.robot, arms, plan, fish.ranges, reality, cell)
     testbed = next(one for one in testbeds if one.name == where)
-    trials = DrawnTrials(fish.robot, fish.model)
-    who = Controllers([trials.maker(name)(repeats) for name in policies], repeats)
-    starts = same_starts(task, len(policies), repeats, options.seed, len(fish.robot.joints))
-    watcher = unwatched if reel is None else partial(Film, reel, name=where)
-    episodes = testbed.swim(who, fish.robot, task, starts, options.seed, watcher)
-    return {shown(name): episodes.of(who.owner == k) for k, name in enumerate(policies)}
+    steering = [controller_of(name, fish.robot) for name in policies]
+    watched = {} if reel is None else {"watcher": partial(Film, reel, name=where)}
+    swims = trials_of(testbed.swim, steering, fish.robot, task, repeats, options.seed, **watched)
+    return dict(zip(map(shown, policies), swims, strict=True))
 
 
 def _agents(folder: Path, file: str = "progress.csv") -> list[Path]:

@@ -18,7 +18,7 @@ from rl.experiments.testbeds import (
     held_out,
 )
 from rl.sac import train as sac
-from rl.sac.checkpoint import TensorBoard, draw_curves, read_progress
+from rl.sac.checkpoint import TensorBoard, curves_figure, read_progress
 from rl.sac.plan import OPTIONS, RECIPES
 from sim2real.commands.command import where_jobs_run
 from sim2real.errors import InputError
@@ -26,6 +26,7 @@ from sim2real.executor import map_jobs
 from sim2real.model import read_model
 from sim2real.output import write_json
 from sim2real.ranges.entry import read_ranges
+from sim2real.report.drawing import save_png
 from sim2real.robot import read_robot
 
 TRAINERS = {"sac": sac, "discrete-cpg": discrete_cpg}
@@ -49,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         folders = _side_by_side(options, arguments)
     if not options.no_plots:
-        draw_curves({"policy": folders}, options.out / "curve.png")
+        save_png(curves_figure({"policy": folders}), options.out / "curve.png")
     for folder in folders:
         progress = read_progress(folder)
         ended = np.flatnonzero(progress["episodes"] > 0)

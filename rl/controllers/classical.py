@@ -1,23 +1,112 @@
-"""Controllers by proportional navigation, of a pattern generator's bend or of the heading."""
+"""A central pattern generator, and controllers of its bend by proportional navigation."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rl.controllers.cpg import CentralPatternGenerator, Gait
 from rl.observer import CONTROL_S
-from sim2real.arrays import Array, Array32
+from sim2real.arrays import Array, Array32, Mask
 from sim2real.structured import Fields, read_toml
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
     Gains = TypeVar("Gains", bound=DataclassInstance)
+
+SETTLE_PER_S = 12.0
+"""Rate at which amplitudes and offsets approach their goals: 90 % in 0.32 s."""
+COUPLING_PER_S = 5.0
+"""Weight of the coupling between neighbours."""
+
+
+@dataclass(frozen=True)
+class Gait:
+    """A travelling wave along the body; each value a number or an array (E,)."""
+
+    frequency_hz: ArrayLike  # beats per second
+    amplitude_rad: ArrayLike  # amplitude of the last joint
+    front: ArrayLike = 0.5  # amplitude of the first joint relative to the last; linear in between
+    lag_rad: ArrayLike = 1.2  # phase lag of a joint relative to the previous one
+    # mean angle of every joint; for negative values the robot turns left
+    offset_rad: ArrayLike = 0.0
+
+
+class Gliding:
+    """Values that approach their goals without overshoot: critically damped, second order."""
+
+    def __init__(self, value: Array) -> None:
+        self.value, self.rate = value, np.zeros_like(value)
+
+    def step(self, goal: Array) -> Array:
+        """Advance by a control period, exact for a constant goal; returns the value."""
+        error = self.value - goal
+        push = self.rate + SETTLE_PER_S * error
+        fade = np.exp(-SETTLE_PER_S * CONTROL_S)
+        self.value = goal + (error + push * CONTROL_S) * fade
+        self.rate = (self.rate - SETTLE_PER_S * push * CONTROL_S) * fade
+        return self.value
+
+
+class CentralPatternGenerator:
+    """Oscillators of E robots with J joints each, which start straight and at rest.
+
+    The model of Ijspeert and Crespi (ICRA 2007, "Online trajectory generation in an amphibious
+    snake robot using a lamprey-like central pattern generator model"): phases coupled to their
+    neighbours, amplitudes and offsets of second order, both critically damped::
+
+        phase_i'  = 2 pi f + w sum_j sin(phase_j - phase_i - lag_ij)
+        angle_i   = offset_i + amplitude_i sin(phase_i)
+
+    Their output is ``r (1 + cos phase)``; here it is symmetric about the offset.
+    """
+
+    def __init__(self, limits_rad: ArrayLike, n_envs: int) -> None:
+        self.limits_rad = np.asarray(limits_rad, dtype=np.float64)  # shape (J, 2)
+        self.phase = np.zeros((n_envs, len(self.limits_rad)))  # rad
+        self._wave = Gliding(np.zeros((2, *self.phase.shape)))  # amplitudes, offsets
+        self._fresh = np.ones(n_envs, dtype=bool)
+
+    def reset(
+        self,
+        observation: NDArray[np.floating],
+        phase: ArrayLike = 0.0,
+        mask: Mask | Literal[True] = True,
+    ) -> None:
+        """Reset robots in ``mask`` (E,) to the angles of an observation, with ``phase`` in rad."""
+        mask = np.broadcast_to(mask, self._fresh.shape)
+        self._fresh |= mask
+        self.phase[:, 0] = np.where(mask, phase, self.phase[:, 0])
+        angle = np.asarray(observation[:, 3 : 3 + len(self.limits_rad)], dtype=np.float64)
+        start = np.stack([np.zeros_like(angle), angle])
+        self._wave.value = np.where(mask[:, None], start, self._wave.value)
+        self._wave.rate = np.where(mask[:, None], 0.0, self._wave.rate)
+
+    def step(self, gait: Gait) -> Array:
+        """Advance by a period towards ``gait``; joint angles in rad (E, J), within limits."""
+        n_envs, J = self.phase.shape
+        values = (gait.frequency_hz, gait.amplitude_rad, gait.front, gait.lag_rad, gait.offset_rad)
+        frequency, amplitude, front, lag, offset = (
+            np.broadcast_to(np.asarray(x, dtype=np.float64), (n_envs,))[:, None] for x in values
+        )
+        locked = self.phase[:, :1] - lag * np.arange(J)
+        self.phase = np.where(self._fresh[:, None], locked, self.phase)
+        self._fresh[:] = False
+        lead = np.sin(self.phase[:, 1:] - self.phase[:, :-1] + lag)
+        pull = np.zeros_like(self.phase)
+        pull[:, :-1] += lead
+        pull[:, 1:] -= lead
+        turn = 2 * np.pi * frequency + COUPLING_PER_S * pull
+        self.phase = np.mod(self.phase + CONTROL_S * turn, 2 * np.pi)
+        position = np.linspace(0.0, 1.0, J) if J > 1 else np.ones(1)
+        size = amplitude * (front + (1.0 - front) * position)
+        height, middle = self._wave.step(np.stack([size, np.broadcast_to(offset, size.shape)]))
+        return np.asarray(np.clip(middle + height * np.sin(self.phase), *self.limits_rad.T))
+
 
 TUNED = Path(__file__).with_name("tuned.toml")
 """Gains, the defaults of the controllers, written by ``benchmarks/tune_controllers.py``."""
@@ -68,18 +157,18 @@ class LineOfSight:
     ``smooth`` and ``rate``, in rad/s, are low-pass filtered with the time constant ``filter_s``.
     """
 
-    def __init__(self, n_envs: int, filter_s: ArrayLike) -> None:
+    def __init__(self, filter_s: ArrayLike, observation: NDArray[np.floating]) -> None:
+        """Begin with the observation of a control period."""
         constant = np.maximum(np.asarray(filter_s, dtype=np.float64), 1e-9)
-        self._share, self._fresh = -np.expm1(-CONTROL_S / constant), True
-        self.bearing, self.smooth, self.rate = (np.zeros(n_envs) for _ in range(3))
+        self._share = -np.expm1(-CONTROL_S / constant)
+        columns = np.asarray(observation, dtype=np.float64)
+        self.bearing = self.smooth = np.arctan2(columns[:, -1], columns[:, -2])
+        self.rate = line_of_sight_rate(observation)
 
     def update(self, observation: NDArray[np.floating]) -> None:
         """Update with the observation of a control period."""
         columns, rate = np.asarray(observation, np.float64), line_of_sight_rate(observation)
         measured, turn = np.arctan2(columns[:, -1], columns[:, -2]), 2 * np.pi
-        if self._fresh:
-            self.bearing, self.smooth, self.rate, self._fresh = measured, measured, rate, False
-            return
         continued = self.bearing + (np.mod(measured - self.bearing + np.pi, turn) - np.pi)
         self.bearing = np.where(np.abs(continued) > _COMMIT_RAD, measured, continued)
         # whole turns, where the direction changes
@@ -91,25 +180,30 @@ class LineOfSight:
 class _Steered:
     """A pattern generator whose bend follows the line of sight; the first beat is towards it."""
 
-    def __init__(self, limits_rad: ArrayLike, n_envs: int, gains: Any, filter_s: ArrayLike) -> None:  # noqa: ANN401
-        self.gains, self._filter_s = gains, filter_s
-        self._limits, self._n = limits_rad, n_envs
+    def __init__(self, limits_rad: ArrayLike, gains: Any) -> None:  # noqa: ANN401
+        """Steer joints with these limits, shape (J, 2)."""
+        self._limits, self.gains = limits_rad, gains
         self.reset()
 
     def reset(self) -> None:
         """All robots begin anew."""
-        self._generator = CentralPatternGenerator(self._limits, self._n)
-        self._sight, self._fresh = LineOfSight(self._n, self._filter_s), True
+        self._fresh = True
 
     def act(self, observation: Array32) -> Array32:
         """Desired joint angles; see ``Controller``."""
-        self._sight.update(observation)
         if self._fresh:
-            left = self._sight.bearing > 0
-            self._generator.reset(observation, np.where(left, np.pi, 0.0))
+            self._begin(observation)
+        else:
+            self._sight.update(observation)
         bend = self._bend(observation)
         self._fresh = False
         return self._generator.step(self.gains.bent(bend)).astype(np.float32)
+
+    def _begin(self, observation: Array32) -> None:
+        """Begin with the robots of the first observation."""
+        self._sight = LineOfSight(getattr(self.gains, "filter_s", 0.0), observation)
+        self._generator = CentralPatternGenerator(self._limits, len(observation))
+        self._generator.reset(observation, np.where(self._sight.bearing > 0, np.pi, 0.0))
 
     def _bend(self, observation: Array32) -> Array:
         """The bend in rad, shape (E,), positive to the left."""
@@ -132,15 +226,7 @@ class ProportionalNavigation(_Steered):
     bend for the turn that it causes, and a gain on the bearing that starts the 180 degree turn::
 
         turn = navigation_s * line_of_sight_rate + pursuit * bearing
-
-    ``limits_rad`` are those of the joints, shape (J, 2); by default the gains are those tuned.
     """
-
-    def __init__(
-        self, limits_rad: ArrayLike, n_envs: int = 1, gains: PNLGains | None = None
-    ) -> None:
-        gains = tuned("pnl", PNLGains) if gains is None else gains
-        super().__init__(limits_rad, n_envs, gains, gains.filter_s)
 
     def _bend(self, observation: Array32) -> Array:
         turn = np.asarray(self.gains.navigation_s) * self._sight.rate
@@ -212,23 +298,14 @@ class DisturbanceRejection(_Steered):
     desired heading decays, so that past turns are forgotten; N = 1 is pure pursuit::
 
         desired = line_of_sight + lead,   lead' = (N - 1) line_of_sight' - lead / memory_s
-
-    Arguments as for ``ProportionalNavigation``.
     """
 
-    def __init__(
-        self, limits_rad: ArrayLike, n_envs: int = 1, gains: ADRCGains | None = None
-    ) -> None:
-        g = tuned("adrc", ADRCGains) if gains is None else gains
-        super().__init__(limits_rad, n_envs, g, 0.0)
-
-    def reset(self) -> None:
-        """All robots begin anew."""
-        super().reset()
-        n, g = self._n, self.gains
+    def _begin(self, observation: Array32) -> None:
+        super()._begin(observation)
+        n, g = len(observation), self.gains
         self._profile = TransientProfile(n, g.agility_rad_s2)
         self._observer = ExtendedStateObserver(n, g.observer_rad_s, g.effect_per_s2)
-        self._heading, self._lead, self._turn = (np.zeros(n) for _ in range(3))
+        self._heading, self._lead, self._turn = np.zeros((3, n))
 
     def _bend(self, observation: Array32) -> Array:
         """Linear ADRC: poles at the bandwidth, disturbance compensated."""

@@ -20,11 +20,11 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 from tqdm import tqdm
 
-from rl.controllers.cpg import CentralPatternGenerator, Gait
+from rl.controllers.classical import CentralPatternGenerator, Gait
 from rl.make import Fidelity, episodes_of, make_world, own_stream
 from rl.observer import PAPER
 from rl.sac.checkpoint import write_progress
-from rl.sac.policy_zip import load_weights, read_policy_zip, read_settings, write_policy_zip
+from rl.sac.policy_zip import PolicyZip, load_weights, read_policy_zip, write_policy_zip
 from rl.sac.sac import Spaces
 from rl.sac.train import check_run
 from rl.task import TASKS
@@ -32,7 +32,6 @@ from rl.vec_env import FishVecEnv
 from sim2real.arrays import Array, Array32
 from sim2real.errors import InputError, check_whole
 from sim2real.output import provenance
-from sim2real.structured import Fields
 
 
 @dataclass(frozen=True)
@@ -69,20 +68,18 @@ TABLE = ActionTable(_frequency, _amplitude, _offset, front=1.2, lag_rad=0.8, hol
 class DiscreteCPG:
     """A trained policy as a controller; ``table`` must be that of the training."""
 
-    def __init__(
-        self, model: DQN, limits_rad: ArrayLike, n_envs: int = 1, table: ActionTable = TABLE
-    ) -> None:
-        self.model, self.table = model, table
-        self._limits, self._n = limits_rad, n_envs
+    def __init__(self, model: DQN, limits_rad: ArrayLike, table: ActionTable = TABLE) -> None:
+        self.model, self.table, self._limits = model, table, limits_rad
         self.reset()
 
     def reset(self) -> None:
         """All robots begin anew."""
-        self._generator, self._period = CentralPatternGenerator(self._limits, self._n), 0
+        self._period = 0
 
     def act(self, observation: Array32) -> Array32:
         """Desired joint angles; see ``Controller``."""
         if self._period == 0:
+            self._generator = CentralPatternGenerator(self._limits, len(observation))
             self._generator.reset(observation)
         if self._period % self.table.hold == 0:
             inputs = with_phase(observation, self._generator)
@@ -103,18 +100,17 @@ def with_phase(
 
 
 class DiscreteCPGEnv(VecEnvWrapper):
-    """A vector environment whose actions are rows of a table, each used for ``table.hold`` periods.
+    """A vector environment whose actions are rows of ``TABLE``, each used for its ``hold`` periods.
 
-    Rewards and their terms are summed over the periods, until an episode ends. Observations include
-    sine and cosine of the first joint's phase. Actions -1 and 1 of ``venv`` are joint limits.
+    Rewards are summed over the periods, until an episode ends. Observations include sine and cosine
+    of the first joint's phase. Actions -1 and 1 of ``venv`` are joint limits.
     """
 
-    def __init__(self, venv: VecEnv, table: ActionTable = TABLE) -> None:
+    def __init__(self, venv: VecEnv) -> None:
         space: Any = venv.observation_space
         low, high = np.append(space.low, [-1, -1]), np.append(space.high, [1, 1])
         box = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
-        super().__init__(venv, box, spaces.Discrete(len(table)))
-        self.table = table
+        super().__init__(venv, box, spaces.Discrete(len(TABLE)))
         limits = np.stack([np.asarray(venv.get_attr(name)[0]) for name in ("low", "high")], axis=1)
         self._generator = CentralPatternGenerator(limits, venv.num_envs)
         self._choice = np.zeros(venv.num_envs, dtype=np.int64)
@@ -130,24 +126,21 @@ class DiscreteCPGEnv(VecEnvWrapper):
         self._choice = np.asarray(actions, dtype=np.int64)
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Simulate the choices for ``table.hold`` periods."""
-        gait, (low, high) = self.table.gait(self._choice), self._generator.limits_rad.T
+        """Simulate the choices for ``TABLE.hold`` periods."""
+        gait, (low, high) = TABLE.gait(self._choice), self._generator.limits_rad.T
         observation: Any = None
         reward = np.zeros(self.num_envs, dtype=np.float32)
         ended = np.zeros(self.num_envs, dtype=bool)
         told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        for _ in range(self.table.hold):
+        for _ in range(TABLE.hold):
             angle = self._generator.step(gait)
             self.venv.step_async((2 * (angle - low) / (high - low) - 1).astype(np.float32))
             observation, rewards, done, infos = self.venv.step_wait()
             reward += np.where(ended, 0.0, rewards).astype(np.float32)
-            for e in np.flatnonzero(~ended).tolist():
-                terms = {name: x for name, x in infos[e].items() if name.startswith("reward_")}
-                sums = {name: told[e].get(name, 0.0) + x for name, x in terms.items()}
-                told[e] |= (infos[e] if done[e] else {}) | sums
             for e in np.flatnonzero(done & ~ended).tolist():
-                last = np.atleast_2d(told[e]["terminal_observation"])
-                told[e]["terminal_observation"] = with_phase(last, self._generator, [e])[0]
+                last = np.atleast_2d(infos[e]["terminal_observation"])
+                (seen,) = with_phase(last, self._generator, [e])
+                told[e] = {**infos[e], "terminal_observation": seen}
             ended |= done
             if done.any():
                 self._generator.reset(observation, mask=done)
@@ -166,31 +159,10 @@ class GaitDQN(DQN):
         write_policy_zip(path, self.policy, settings, {})
 
 
-def read_table(path: str | os.PathLike[str]) -> ActionTable | None:
-    """Read the gaits of a trained policy; None if the file has none."""
-    try:
-        content = read_settings(path)["gaits"]
-    except (InputError, KeyError):
-        return None
-    table = Fields(path, "gaits", content)
-    frequency = table.numbers("frequency_hz", "numbers")
-    size = len(frequency)
-    amplitude, offset = (
-        table.numbers(name, f"{size} numbers, as there are frequencies", size)
-        for name in ("amplitude_rad", "offset_rad")
-    )
-    hold = table.number("hold", low=1)
-    if hold > 1000:
-        raise table.error("hold", "at most 1000")
-    scalars = table.number("front"), table.number("lag_rad"), int(hold)
-    return ActionTable(np.array(frequency), np.array(amplitude), np.array(offset), *scalars)
-
-
-def read_policy(
-    path: str | os.PathLike[str], table: ActionTable, limits_rad: ArrayLike, n_envs: int
-) -> DiscreteCPG:
-    """Read a policy of ``train_run``, of gaits ``table``, for joints with ``limits_rad`` (J, 2)."""
+def read_policy(path: str | os.PathLike[str], limits_rad: ArrayLike) -> DiscreteCPG:
+    """Read a policy of ``train_run`` for joints with ``limits_rad`` (J, 2)."""
     saved = read_policy_zip(path, "DQN")
+    table = _table(saved)
     columns, *hidden, choices = saved.widths("q_net.q_net")
     joints = len(np.asarray(limits_rad))
     if columns != 7 + 2 * joints:
@@ -202,7 +174,23 @@ def read_policy(
     env, network = Spaces(box, spaces.Discrete(choices)), {"net_arch": hidden}
     model = GaitDQN("MlpPolicy", env, buffer_size=1, policy_kwargs=network, device="cpu")
     load_weights(path, model.policy, saved.weights)
-    return DiscreteCPG(model, limits_rad, n_envs, table)
+    return DiscreteCPG(model, limits_rad, table)
+
+
+def _table(saved: PolicyZip) -> ActionTable:
+    """The gaits of a trained policy."""
+    table = saved.settings.table("gaits")
+    frequency = table.numbers("frequency_hz", "numbers")
+    size = len(frequency)
+    amplitude, offset = (
+        table.numbers(name, f"{size} numbers, as there are frequencies", size)
+        for name in ("amplitude_rad", "offset_rad")
+    )
+    hold = table.number("hold", low=1)
+    if hold > 1000:
+        raise table.error("hold", "at most 1000")
+    scalars = table.number("front"), table.number("lag_rad"), int(hold)
+    return ActionTable(np.array(frequency), np.array(amplitude), np.array(offset), *scalars)
 
 
 COLUMNS = ("steps", "episodes", "mean_return", "success", "mean_length", "exploration")
@@ -238,21 +226,11 @@ def make_dqn(env: VecEnv, seed: int) -> GaitDQN:
 
 
 def train_run(
-    folder: Path,
-    *,
-    robot: str,
-    model: str,
-    ranges: str | None = None,
-    task: str = "point",
-    steps: int = 1_000_000,
-    envs: int = 32,
-    seeds: Sequence[int] = (0,),
-    fidelity: Fidelity = "twin",
-    device: str = "cpu",
-    cell_m: float = 0.02,
-    threads: int = 1,
+    folder: Path, *, robot: str, model: str, ranges: str | None = None, task: str = "point",
+    steps: int = 1_000_000, envs: int = 32, seeds: Sequence[int] = (0,),
+    fidelity: Fidelity = "twin", device: str = "cpu", cell_m: float = 0.02, threads: int = 1,
     energy_weight: float | None = None,
-) -> list[Path]:
+) -> list[Path]:  # fmt: skip
     """Train an agent for each seed in turn, unless finished before; the folders of the agents."""
     for option, value in (("--steps", steps), ("--envs", envs)):
         check_whole("train", option, value, 1)
@@ -297,10 +275,8 @@ def _learn(agent: GaitDQN, steps: int) -> list[list[float]]:
         ended.clear()
 
     def after_step(scope: dict[str, Any], _: dict[str, Any]) -> bool:
-        for info in scope["infos"]:
-            if "episode" in info:
-                episode = info["episode"]
-                ended.append((episode["r"], info["is_success"], episode["l"]))
+        over = [info for info in scope["infos"] if "episode" in info]
+        ended.extend((x["episode"]["r"], x["is_success"], x["episode"]["l"]) for x in over)
         done = agent.num_timesteps * TABLE.hold
         bar.update(done - bar.n)
         if done >= (len(rows) + 1) * max(1, steps // 50):

@@ -194,29 +194,20 @@ class Link:
     def receive(self, wait_s: float) -> list[Telemetry]:
         """Wait for telemetry and return all that has arrived; empty after ``wait_s``."""
         deadline, telemetry = time.monotonic() + wait_s, list[Telemetry]()
-        while not telemetry:
-            remaining = deadline - time.monotonic()
-            if remaining <= 0 or not select.select([self._socket], [], [], remaining)[0]:
+        while not telemetry and (remaining := deadline - time.monotonic()) > 0:
+            if not select.select([self._socket], [], [], remaining)[0]:
                 break
-            telemetry = self._waiting()
+            with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
+                for _ in range(MOST):
+                    message = read_telemetry(self._socket.recv(LARGEST), self._J, self._key)
+                    session = "" if message is None else message.session
+                    if self._session == self._own and session.startswith(self._own):
+                        self._session = session  # which the robot completes in its first answer
+                    if message is None or session != self._session:
+                        self.strange += 1
+                    else:
+                        telemetry.append(message)
         return telemetry
-
-    def _waiting(self) -> list[Telemetry]:
-        telemetry = []
-        with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
-            for _ in range(MOST):
-                message = read_telemetry(self._socket.recv(LARGEST), self._J, self._key)
-                if message is None or not self._ours(message.session):
-                    self.strange += 1
-                else:
-                    telemetry.append(message)
-        return telemetry
-
-    def _ours(self, session: str) -> bool:
-        """Whether a session is this one, which the robot completes in its first answer."""
-        if self._session == self._own and session.startswith(self._own):
-            self._session = session
-        return session == self._session
 
     def __enter__(self) -> Link:
         return self

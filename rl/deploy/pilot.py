@@ -45,9 +45,8 @@ class Measurements:
     @property
     def blind_s(self) -> float:
         """Time since the pose and all angles were last measured; infinite if never."""
-        measured = np.isfinite(np.array(self._rows))
-        t = np.array(self._t)
-        if not len(t) or not measured.any(axis=0).all():
+        t, measured = np.array(self._t), np.isfinite(np.array(self._rows))
+        if not measured.any(axis=0).all():
             return math.inf
         return float(t[-1] - min(t[column].max() for column in measured.T))
 
@@ -67,22 +66,16 @@ class Measurements:
 
 
 class Track(NamedTuple):
-    """Record of a swim: T set-point messages, their times and the distance to the target.
+    """Record of a swim: T set-point messages, their times and the distance to the target."""
 
-    Columns are the arrival of the telemetry on this computer in s, from the first, the robot's
-    clock, the time in s from the arrival until set-points were sent in answer, these (T, J),
-    measured angles (T, J) and pose (T, 3), NaN if missing.
-    ``reached_s`` is from the end of rest, ``closest_m`` infinite if the swim never started.
-    """
-
-    t: Array
-    device_t: Array
-    inference_s: Array
-    command: Array
-    joint: Array
-    pose: Array
-    reached_s: float | None
-    closest_m: float
+    t: Array  # arrival of the telemetry on this computer in s, from the first
+    device_t: Array  # the robot's clock in s
+    inference_s: Array  # time from the arrival until set-points were sent in answer
+    command: Array  # these in rad, shape (T, J)
+    joint: Array  # measured angles, shape (T, J), NaN if missing
+    pose: Array  # measured pose, shape (T, 3), likewise
+    reached_s: float | None  # from the end of rest
+    closest_m: float  # infinite if the swim never started
     stopped: str | None
 
 
@@ -157,12 +150,9 @@ class Pilot:
 
 
 def swim(
-    link: Link,
-    pilot: Pilot,
-    *,
-    interrupted: Callable[[], bool] = lambda: False,
+    link: Link, pilot: Pilot, *, interrupted: Callable[[], bool] = lambda: False,
     progress: Callable[[float], object] = lambda _: None,
-) -> Track | None:
+) -> Track | None:  # fmt: skip
     """Drive the robot until the pilot has finished; finally, and after any error, send it to rest.
 
     Telemetry is answered at once. ``interrupted`` says whether the user has asked to stop,

@@ -22,7 +22,7 @@ SCHEMA = "sim2real.policy/2"
 FIRST = "sim2real.policy/1"
 """Former schema without a view, which is that of the paper."""
 LARGEST_BYTES = 64 * 2**20
-"""Largest unpacked file."""
+"""Largest unpacked file; a policy of four layers of 256 has 8 MB with its critics."""
 
 
 @dataclass(frozen=True)

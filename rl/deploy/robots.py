@@ -44,7 +44,7 @@ class Received:
 
     def __init__(self, rest: Array, limits: Array, key: bytes | None = None) -> None:
         """Start at rest angles (J,), with the joints' limits (J, 2) in rad and a shared key."""
-        self.begun, self.session, self._asked = False, "", ""
+        self.session = ""
         self.sender: tuple[str, int] | None = None
         self._rest, self._limits, self._key = rest, limits, key
         self._desired, self._number, self._silent = rest, 0, 0
@@ -67,27 +67,25 @@ class Received:
         return bool(self.session) and self._silent * CONTROL_S <= SILENCE_S
 
     def receive(self, datagram: bytes, sender: tuple[str, int] | None = None) -> bool:
-        """Process set-points from an address; False if they are invalid, old or a stranger's."""
+        """Process set-points from an address; False if they are invalid, old or a stranger's.
+
+        Number 0 starts a session unless a computer has the robot.
+        """
         sent = read_set_points(datagram, len(self._rest), self._key)
         if sent is None:
             return False
+        if sent.number == 0 and self.held:  # True for the repeated request of its computer
+            return (sent.session, sender, 0) == (self.session[:-16], self.sender, self._number)
         if sent.number == 0:
-            return self._begin(sent.session, sender)
+            self.session, self.sender = sent.session + secrets.token_hex(8), sender
+            self._number, self._silent = 0, 0
+            return True
         step = sent.number - self._number
         ours = sender == self.sender and hmac.compare_digest(sent.session, self.session)
         if not self.session or not ours or not 0 < step <= AHEAD + self._silent:
             return False
         self._number, self._silent = sent.number, 0
         self._desired = np.clip(sent.joint, *self._limits.T)
-        return True
-
-    def _begin(self, session: str, sender: tuple[str, int] | None) -> bool:
-        """Start a session unless a computer has the robot; True also for its repeated request."""
-        if self.held:
-            return (session, sender, 0) == (self._asked, self.sender, self._number)
-        self._asked, self.sender = session, sender
-        self.session = session + secrets.token_hex(8)
-        self._number, self._silent, self.begun = 0, 0, True
         return True
 
     def next_set_points(self) -> Array:
@@ -124,7 +122,7 @@ def serve(radio: socket.socket, robot: Received, stop: Callable[[], bool]) -> No
             with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
                 radio.sendto(robot.telemetry(), robot.sender)
         _listen(radio, robot, begin + CONTROL_S / 2)
-        if robot.begun:
+        if robot.session:
             robot.advance()
         begin += CONTROL_S
         _listen(radio, robot, begin)
@@ -181,35 +179,27 @@ class Poses:
             for _ in range(MOST):
                 datagram, sender = self._listener.recvfrom(LARGEST)
                 seen = read_telemetry(datagram, 0, self._key)
-                if seen is not None and self._accept(seen, sender):
+                if seen is None:
+                    continue
+                now, tracker = time.monotonic(), (sender, seen.session)
+                passed = now - self._heard
+                if tracker == self._tracker:
+                    accepted = 0 < seen.t_s - self._t <= passed + TRACKER_S
+                else:
+                    accepted = self._tracker is None or passed > SILENCE_S
+                if accepted:
+                    self._tracker, self._t, self._heard = tracker, seen.t_s, now
                     pose = seen.pose
         return pose
-
-    def _accept(self, seen: Telemetry, sender: object) -> bool:
-        """Whether a pose is of the present tracker and new, or of the first one."""
-        now, tracker = time.monotonic(), (sender, seen.session)
-        passed = now - self._heard
-        if tracker != self._tracker:
-            if self._tracker is not None and passed <= SILENCE_S:
-                return False
-        elif not 0 < seen.t_s - self._t <= passed + TRACKER_S:
-            return False
-        self._tracker, self._t, self._heard = tracker, seen.t_s, now
-        return True
 
 
 class BusRobot(Received):
     """Servos on a bus, and the pose that a tracker sends; see ``bus_robot`` for the arguments."""
 
     def __init__(
-        self,
-        bus: ServoBus,
-        mountings: Sequence[Mounting],
-        rest: Array,
-        poses: Poses,
-        hottest_C: float,
-        key: bytes | None,
-    ) -> None:
+        self, bus: ServoBus, mountings: Sequence[Mounting], rest: Array, poses: Poses,
+        hottest_C: float, key: bytes | None,
+    ) -> None:  # fmt: skip
         limits = np.array([mounting.joint.limits_rad for mounting in mountings])
         super().__init__(rest, limits, key)
         self.stopped: str | None = None
@@ -220,8 +210,17 @@ class BusRobot(Received):
         """Send the set-points of one control period and read the angles."""
         if self.stopped is not None:
             return
+        pairs = list(zip(self._mountings, self.next_set_points(), strict=True))
         try:
-            self._joint = self._round(self.next_set_points())
+            goals = {mounting.servo_id: mounting.ticks(float(angle)) for mounting, angle in pairs}
+            # set-points are awaited in the rest of the period
+            cycle = self._bus.cycle(goals, time.monotonic() + 0.4 * CONTROL_S)
+            angles = []
+            for mounting, reading in zip(self._mountings, cycle.readings, strict=True):
+                mounting.check_temperature(reading.temperature_C, self._hottest_C)
+                ticks = reading.position_ticks
+                angles.append(math.nan if ticks is None else mounting.angle(ticks))
+            self._joint = np.array(angles)
         except (Stopped, OSError) as error:
             self.stopped = reason(error)
 
@@ -230,30 +229,12 @@ class BusRobot(Received):
         joint = self._joint if self.stopped is None else np.full(len(self._joint), np.nan)
         return time.monotonic(), self._poses.newest(), joint
 
-    def _round(self, desired: Array) -> Array:
-        pairs = list(zip(self._mountings, desired, strict=True))
-        goals = {mounting.servo_id: mounting.ticks(float(angle)) for mounting, angle in pairs}
-        # set-points are awaited in the rest of the period
-        cycle = self._bus.cycle(goals, time.monotonic() + 0.4 * CONTROL_S)
-        angles = []
-        for mounting, reading in zip(self._mountings, cycle.readings, strict=True):
-            mounting.check_temperature(reading.temperature_C, self._hottest_C)
-            ticks = reading.position_ticks
-            angles.append(math.nan if ticks is None else mounting.angle(ticks))
-        return np.array(angles)
-
 
 @contextmanager
 def bus_robot(
-    connection: Connection,
-    mountings: Sequence[Mounting],
-    rest: Array,
-    poses: str,
-    *,
-    hottest_C: float,
-    interrupted: Callable[[], bool],
-    key: bytes | None = None,
-) -> Iterator[tuple[str, BusRobot]]:
+    connection: Connection, mountings: Sequence[Mounting], rest: Array, poses: str, *,
+    hottest_C: float, interrupted: Callable[[], bool], key: bytes | None = None,
+) -> Iterator[tuple[str, BusRobot]]:  # fmt: skip
     """Context manager that moves the servos to rest and serves them; returns URL and robot.
 
     In the end they are released, and what was changed in them is restored, or ``Stopped`` raised.

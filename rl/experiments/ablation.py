@@ -5,7 +5,6 @@ Without a technique the default of the old simulator is used (Lin, Liu, Wang, Se
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 from rl.deploy.export import read_zip
 from rl.deploy.policy import Policy, PolicyController, read_npz
 from rl.experiments.episodes import Episodes, energy, measured
-from rl.experiments.testbeds import Controllers, Testbed, same_starts
+from rl.experiments.testbeds import Testbed, trials_of
 from rl.make import digest, draws_of, noise_of, with_density
 from rl.sac.plan import Arm, Plan
 from rl.task import TASKS, Task
@@ -89,13 +88,9 @@ def model_of(
 
 
 def arm_of(
-    name: str,
-    model: Model,
-    robot: Robot,
-    ranges: Ranges,
-    enriched: Model | None = None,
+    name: str, model: Model, robot: Robot, ranges: Ranges, enriched: Model | None = None,
     reality: Model | None = None,
-) -> Arm:
+) -> Arm:  # fmt: skip
     """An arm of ``ARMS`` to train, without the ranges of techniques that it does not use."""
     techniques = ARMS[name]
     if name == "ceiling":
@@ -118,40 +113,32 @@ def arm_of(
 
 
 def ablate(
-    folder: Path,
-    robot: Robot,
-    arms: Sequence[str],
-    agents: Sequence[Path],
-    plan: Plan,
-    testbeds: Sequence[Testbed],
-    *,
-    repeats: int = 5,
-    seed: int = 0,
-    longest: int | None = None,
-) -> dict[str, Any]:
+    folder: Path, robot: Robot, arms: Sequence[str], agents: Sequence[Path], plan: Plan,
+    testbeds: Sequence[Testbed], *, repeats: int = 5, seed: int = 0,
+) -> dict[str, Any]:  # fmt: skip
     """Test the agents of all arms; each testbed writes a file, and is skipped if it is up to date.
 
     ``agents`` are folders: all seeds of the first arm, then those of the next. ``repeats`` are
-    episodes of each agent and testbed, with starts and noise by ``seed``, of at most ``longest``
-    periods. The result has ``agents``: for each, its arm, seed and, by testbed, return (the rewards
-    discounted as in training), reward, ``paper`` (the measure of the paper: the reward with its
-    weight of energy, 0.001), success, time and energy of each repeat.
+    episodes of each agent and testbed, with starts and noise by ``seed``. The result has
+    ``agents``: for each, its arm, seed and, by testbed, return (the rewards discounted as in
+    training), reward, ``paper`` (the measure of the paper: the reward with its weight of energy,
+    0.001), success, time and energy of each repeat.
     """
     turn = TASKS["turn"]
-    task = replace(turn, energy=plan.task.energy, steps=longest or turn.steps)
-    results: dict[str, Any] = {}
+    task, results = replace(turn, energy=plan.task.energy), dict[str, Any]()
     discount = plan.settings.gamma ** (1 / plan.view.period)
-    weights = weights_digest(agents)
+    policies = [policy_in(agent) for agent in agents]
+    weights = [digest([x.tobytes() for x in one.weights]) for one in policies]
     for testbed in testbeds:
         path = folder / f"{testbed.name}.json"
         measures = (discount, task.energy, turn.energy)
         key = digest((weights, robot, testbed.key, measures, task.steps, repeats, seed))
         result = read_json(path) if path.exists() else {}
         if result.get("key") != key:
-            policies = [PolicyController(policy_in(agent)) for agent in agents]
-            starts = same_starts(task, len(agents), repeats, seed, len(robot.joints))
-            episodes = testbed.swim(Controllers(policies, repeats), robot, task, starts, seed)
-            result = {"key": key, **as_json(episodes, len(agents), task, discount)}
+            steering = [PolicyController(one) for one in policies]
+            swims = trials_of(testbed.swim, steering, robot, task, repeats, seed)
+            result = {"key": key, "agents": [as_json(one, task, discount) for one in swims]}
+            result["targets"] = swims[0].targets[:, 0].tolist()
             write_json(path, result)
         results[testbed.name] = result
     names = [(arm, s) for arm in arms for s in plan.seeds]
@@ -174,16 +161,8 @@ def policy_in(agent: Path) -> Policy:
     return read_npz(small) if small.exists() else read_zip(agent / "policy.zip")
 
 
-def weights_digest(agents: Sequence[Path]) -> str:
-    """SHA-256 of the policies in the folders of agents."""
-    digest = hashlib.sha256()
-    for agent in agents:
-        digest.update(repr([layer.tobytes() for layer in policy_in(agent).weights]).encode())
-    return digest.hexdigest()
-
-
-def as_json(episodes: Episodes, A: int, task: Task, discount: float) -> dict[str, Any]:
-    """Episodes of A agents as JSON values; time and energy as in ``episodes.spent``."""
+def as_json(episodes: Episodes, task: Task, discount: float) -> dict[str, Any]:
+    """Episodes of an agent as JSON values; time and energy as in ``episodes.measured``."""
     figures, dearer = measured(episodes, task), TASKS["turn"].energy - task.energy
     columns = {
         "return": episodes.discounted(discount),
@@ -191,23 +170,16 @@ def as_json(episodes: Episodes, A: int, task: Task, discount: float) -> dict[str
         **{name: figures[name] for name in ("reward", "time_s", "energy")},
         "faced_s": episodes.faced_s(),
     }
-    rows_of = np.arange(len(episodes.reached)).reshape(A, -1)
 
     def numbers(values: Array) -> list[float | None]:
         return [round(float(x), 6) if np.isfinite(x) else None for x in values]
 
-    agents = [
-        {
-            **{name: numbers(values[rows]) for name, values in columns.items()},
-            "success": [bool(x) for x in episodes.success[rows]],
-            "path": [
-                [numbers(point) for point in episodes.pose[::5, e, :2] if np.isfinite(point).all()]
-                for e in rows[:2]
-            ],
-        }
-        for rows in rows_of
-    ]
-    return {"agents": agents, "targets": episodes.targets[rows_of[0], 0].tolist()}
+    paths = np.moveaxis(episodes.pose[::5, :2, :2], 1, 0)  # of two episodes
+    return {
+        **{name: numbers(values) for name, values in columns.items()},
+        "success": episodes.success.tolist(),
+        "path": [[numbers(at) for at in path if np.isfinite(at).all()] for path in paths],
+    }
 
 
 def read_pretrained(folder: Path, arms: Sequence[str]) -> tuple[list[Path], tuple[int, ...]]:

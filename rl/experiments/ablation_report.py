@@ -11,13 +11,13 @@ import numpy as np
 import torch
 
 from rl.experiments.ablation import ARMS, PAPER, model_of
-from rl.experiments.paths import aligned, bar_panels, paths_figure
+from rl.experiments.figures import aligned, bar_panels, paths_figure
 from rl.experiments.statistics import OUTCOME, bootstrap, differences, seeds_needed
-from rl.sac.checkpoint import draw_curves
+from rl.sac.checkpoint import curves_figure
 from rl.sac.plan import Plan
 from sim2real.model import Model
 from sim2real.output import write_json, write_whole
-from sim2real.report.drawing import svg
+from sim2real.report.drawing import save_png, svg
 from sim2real.report.page import Block, Note, Section, Table, Text, write_page
 from sim2real.report.page import Figure as Picture
 from sim2real.report.style import ACCENT, FAINT, INK
@@ -56,11 +56,9 @@ def write_report(
 
     ``note`` is the provenance, ``values`` the result of ``default_values``.
     """
-    losses = {
-        name: {arm: asdict(loss) for arm, loss in differences(results, figure).items()}
-        for name, figure in (("losses", OUTCOME), ("losses_paper", "paper"))
-    }
-    content = {**results, "table": rows(results), **losses, "provenance": note}
+    content = {**results, "table": rows(results), "provenance": note}
+    for name, figure in (("losses", OUTCOME), ("losses_paper", "paper")):
+        content[name] = {arm: asdict(loss) for arm, loss in differences(results, figure).items()}
     write_json(folder / "ablation.json", content)
     write_whole(folder / "ablation.md", markdown(results) + "\n")
     trained: dict[str, list[Path]] = {}
@@ -69,7 +67,7 @@ def write_report(
             if (run / "progress.csv").exists():
                 trained.setdefault(ARMS[agent["arm"]].title, []).append(run)
     if trained:  # pretrained agents have no curves
-        draw_curves(trained, folder / "curve.png")
+        save_png(curves_figure(trained), folder / "curve.png")
     lead = f"{len(results['agents'])} agents of {plan.steps:,} steps in the {plan.fidelity}"
     footer = footer_of(results, note)
     write_page(folder / "index.html", "Ablation", lead, sections(results, plan, values), footer)
@@ -110,14 +108,13 @@ def rows(results: Results) -> list[dict[str, Any]]:
         agents = [agent for agent in results["agents"] if agent["arm"] == arm]
         row: dict[str, Any] = {"arm": arm}
         for testbed in results["testbeds"]:
-            row[testbed] = {
-                name: bootstrap([a[testbed][name] for a in agents], np.random.default_rng(0))
-                for name in (OUTCOME, "paper")
-            }
+            one: dict[str, Any] = {}
+            row[testbed] = one
+            for name in (OUTCOME, "paper", "success", "time_s", "energy"):
+                values = [agent[testbed][name] for agent in agents]
+                one[name] = bootstrap(values, np.random.default_rng(0))
             for name in ("success", "time_s", "energy"):
-                values = [a[testbed][name] for a in agents]
-                row[testbed][name], *ends = bootstrap(values, np.random.default_rng(0))
-                row[testbed][f"{name}_interval"] = ends
+                one[name], *one[f"{name}_interval"] = one[name]
         out.append(row)
     return out
 
@@ -179,20 +176,15 @@ def sections(results: Results, plan: Plan, values: Table) -> list[Section]:
         f"reality. Simulation: {results['said']['simulation']}. "
         f"Reality: {results['said']['reality']}."
     )
-    effect: list[Block] = [picture(return_figure(table), "Intervals as in the table.")]
+    effect: list[Block] = [Picture(svg(return_figure(table)), "Intervals as in the table.")]
     effect += [made["returns"], Text(order_text(table)), values]
     kept = retention_text({row["arm"]: row for row in table})
     return [
         Section("Effect of each technique", kept, effect),
         Section("Loss without each technique", "", lost),
-        Section("The turns", "", [picture(trajectory_figure(results), _TURNS)]),
+        Section("The turns", "", [Picture(svg(trajectory_figure(results)), _TURNS)]),
         Section("Method", "", [method]),
     ]
-
-
-def picture(figure: Figure, caption: str = "") -> Picture:
-    """A figure for a page."""
-    return Picture(svg(figure), caption)
 
 
 def retention_text(by_arm: Mapping[str, Mapping[str, Any]]) -> str:

@@ -96,7 +96,7 @@ def run_episodes(
     observation = world.reset()
     targets = world.targets.cpu().double().numpy()
     controller.reset()
-    pose, rate = [_copied(world.pose)], [_copied(world.rate)]
+    pose, rate = ([x.cpu().double().numpy()] for x in (world.pose, world.rate))
     value, going = [np.zeros(E)], np.ones(E, dtype=bool)
     reached, steps = np.zeros((2, E), dtype=np.int64)
     watch(going)
@@ -104,20 +104,16 @@ def run_episodes(
         action = np.where(going[:, None], controller.act(observation.cpu().numpy()), 0.0)
         step = world.step(torch.as_tensor(action, device=world.device), begin=False)
         observation = step.observation
-        value.append(np.where(going, _copied(step.reward), np.nan))
+        value.append(np.where(going, step.reward.cpu().double().numpy(), np.nan))
         steps += going
         reached = np.where(going, step.reached.cpu().numpy(), reached)
         for recorded, values in ((pose, world.pose), (rate, world.rate)):
-            recorded.append(np.where(going[:, None], _copied(values), np.nan))
+            recorded.append(np.where(going[:, None], values.cpu().double().numpy(), np.nan))
         watch(going)
         going &= ~(step.terminated | step.truncated).cpu().numpy()
         if not going.any():
             break
     return Episodes(np.array(pose), np.array(rate), np.array(value), reached, steps, targets)
-
-
-def _copied(tensor: torch.Tensor) -> Array:
-    return np.array(tensor.cpu().numpy(), dtype=np.float64)
 
 
 def energy(rate: Array) -> Array:
@@ -133,23 +129,20 @@ def path_length(position: Array) -> Array:
     return np.where(np.isfinite(position).all(axis=2).any(axis=0), np.nansum(step, axis=0), np.nan)
 
 
-def spent(episodes: Episodes, task: Task) -> tuple[Array, Array]:
-    """Time in s and energy of every episode, shape (E,) each.
+def measured(episodes: Episodes, task: Task) -> dict[str, Array]:
+    """Each of ``FIGURES``, shape (E,); ``success`` is 1 or 0.
 
     An episode without arrival counts with the full time of the task, and its mean power until then.
     Means over arrivals only would favour policies that rarely arrive.
     """
-    extrapolation = task.steps / np.maximum(episodes.steps, 1)
-    time = np.where(episodes.success, episodes.steps, task.steps) * CONTROL_S
-    used = energy(episodes.rate)
-    return time, np.where(episodes.success, used, used * extrapolation)
-
-
-def measured(episodes: Episodes, task: Task) -> dict[str, Array]:
-    """Each of ``FIGURES``, shape (E,); ``success`` is 1 or 0, time and energy as in ``spent``."""
-    time, used = spent(episodes, task)
-    success, path = episodes.success.astype(np.float64), path_length(episodes.pose[:, :, :2])
-    return dict(zip(FIGURES, (success, time, used, episodes.reward, path), strict=True))
+    won, used = episodes.success, energy(episodes.rate)
+    return {
+        "success": won.astype(np.float64),
+        "time_s": np.where(won, episodes.steps, task.steps) * CONTROL_S,
+        "energy": np.where(won, used, used * (task.steps / np.maximum(episodes.steps, 1))),
+        "reward": episodes.reward,
+        "path_m": path_length(episodes.pose[:, :, :2]),
+    }
 
 
 def summary(episodes: Episodes, task: Task) -> dict[str, Any]:
@@ -161,9 +154,6 @@ def summary(episodes: Episodes, task: Task) -> dict[str, Any]:
         chosen = values[np.isfinite(values)]
         return float(chosen.mean()) if chosen.size else None
 
-    def error(values: Array) -> float:
-        return float(values.std() / np.sqrt(len(values)))
-
     return {
         "episodes": len(won),
         "success": float(won.mean()),
@@ -171,9 +161,9 @@ def summary(episodes: Episodes, task: Task) -> dict[str, Any]:
         "reward": float(reward.mean()),
         "reward_sd": float(reward.std()),
         "time_s": float(time.mean()),
-        "time_error_s": error(time),
+        "time_error_s": float(time.std() / np.sqrt(len(time))),
         "energy": float(used.mean()),
-        "energy_error": error(used),
+        "energy_error": float(used.std() / np.sqrt(len(used))),
         "arrivals": {name: mean(figures[name][won]) for name in ("time_s", "energy", "path_m")},
         "faced_target_s": mean(episodes.faced_s()),
     }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -14,27 +14,17 @@ from sim.robot.swimmer import Swimmer
 from sim.view.canvas import add_line, blend, draw_ring, draw_robot, grid_lines, places, zoomed
 from sim.view.legend import INK, RULE, VORTICITY, Lettering, colours
 from sim.view.plane import Plane, front_ends, plane_of
-from sim.view.video import FRAMES_PER_S
+from sim.view.video import FRAMES_PER_S, Video
 from sim2real.arrays import Array, Mask, Picture
 
 TARGET = (20, 120, 84)
 MARGIN_M = 0.1
 """Width of the frame around the pool."""
-_DRAWN_FOR = 960
 
 
 def still(world: World) -> Picture:
     """The first robot of a world from above, shape (height, width, 3), 8 bits a channel."""
-    return _Camera(world, "", 480).picture()
-
-
-class Frames(Protocol):
-    """Where the frames of a film go: a ``Video``, or a list of pictures."""
-
-    width: int  # in pixels
-
-    def add(self, image: Picture) -> None:
-        """Append a frame."""
+    return Film(None, world, "", width=480).picture()
 
 
 class Reel(list[Picture]):
@@ -45,23 +35,46 @@ class Reel(list[Picture]):
 
 
 class Film:
-    """The part of a video that shows one policy's first robot, ``width`` pixels wide (even)."""
+    """The part of a video that shows one policy's first robot, from its next start on."""
 
-    def __init__(self, video: Frames, world: World, name: str, *, width: int = 0) -> None:
-        # by default three quarters of the video's, as the pool is about as high as it is wide
-        usual = 2 * round(0.75 * video.width / 2)
-        self._camera = _Camera(world, name, width or usual, _DRAWN_FOR if width else usual)
-        self._video, self._taken = video, 0
+    def __init__(
+        self, video: Video | Reel | None, world: World, name: str, *, width: int = 0
+    ) -> None:
+        """Follow a robot in pictures ``width`` pixels wide (even)."""
+        self._drawn_for = 960
+        if video is not None and not width:  # the pool is about as high as it is wide
+            width = self._drawn_for = 2 * round(0.75 * video.width / 2)
+        self._video, self._world, self._name, self._taken = video, world, name, 0
         self._image: Picture | None = None
+        length, breadth = (side + 2 * MARGIN_M for side in world.task.domain_m)
+        self._pixels = width / length
+        height = 2 * round(breadth * self._pixels / 2)
+        self._x, self._y = x, y = places((0.0, 0.0), self._pixels, width, height)
+        half = np.array(world.task.domain_m) / 2
+        inside = (np.abs(x) < half[0]) & (np.abs(y)[:, None] < half[1])
+        walls = np.zeros(inside.shape)
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * half
+        for ends in zip(corners[:-1], corners[1:], strict=True):
+            add_line(walls, np.stack(ends), 1.5, x, y)
+        # opacity of the grid and the walls of the pool, and of the trajectory, (height, width)
+        self._rules = np.maximum(np.where(inside, 0.16 * grid_lines(x, y), 0.16), walls)
+        self._way = np.zeros_like(self._rules)
+        self._last: Array | None = None
 
     def __call__(self, going: Mask) -> None:
         """Extend the trajectory, and add a picture if the next frame is due."""
-        if going[0]:
-            self._camera.follow()
-            if self._camera.clock + 1e-6 >= self._taken / FRAMES_PER_S:
-                self._image = self._camera.picture()
-                self._video.add(self._image)
-                self._taken += 1
+        if not going[0]:
+            return
+        position = self._world.pose[0, :2].cpu().double().numpy()
+        if self._last is not None:
+            ends = np.stack([self._last, position])
+            add_line(self._way, ends, 2.0 * self._x.size / 960, self._x, self._y)
+        self._last = position
+        clock = CONTROL_S * int(self._world.elapsed[0])
+        if self._video is not None and clock + 1e-6 >= self._taken / FRAMES_PER_S:
+            self._image = self.picture()
+            self._video.add(self._image)
+            self._taken += 1
 
     def __enter__(self) -> Self:
         """Return the film."""
@@ -69,40 +82,13 @@ class Film:
 
     def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:  # noqa: ANN401
         """Repeat the last picture."""
-        if kind is None and self._image is not None:
+        if kind is None and self._video is not None and self._image is not None:
             for _repeat in range(round(FRAMES_PER_S)):
                 self._video.add(self._image)
 
-
-class _Camera:
-    """Follows the first robot of a world from above, from its next start on."""
-
-    def __init__(self, world: World, name: str, width: int, drawn_for: int = _DRAWN_FOR) -> None:
-        self._world, self._name, self._drawn_for = world, name, drawn_for
-        length, breadth = (side + 2 * MARGIN_M for side in world.task.domain_m)
-        self._pixels = width / length
-        height = 2 * round(breadth * self._pixels / 2)
-        self._x, self._y = places((0.0, 0.0), self._pixels, width, height)
-        self._rules = self._pool()
-        self._way = np.zeros_like(self._rules)
-        self._last: Array | None = None
-
-    @property
-    def clock(self) -> float:
-        """Seconds since the robot's start."""
-        return CONTROL_S * int(self._world.elapsed[0])
-
-    def follow(self) -> None:
-        """Extend the trajectory."""
-        position = self._world.pose[0, :2].cpu().double().numpy()
-        if self._last is not None:
-            ends = np.stack([self._last, position])
-            add_line(self._way, ends, 2.0 * self._x.size / _DRAWN_FOR, self._x, self._y)
-        self._last = position
-
     def picture(self) -> Picture:
         """The current picture."""
-        world, x, y, clock = self._world, self._x, self._y, self.clock
+        world, x, y = self._world, self._x, self._y
         simulator = world.simulator
         plane: Plane | None = None
         if isinstance(simulator, Swimmer):
@@ -122,7 +108,7 @@ class _Camera:
         draw_robot(canvas, hull_of(simulator.robot), links, x, y)
         lettering = Lettering(np.rint(canvas).astype(np.uint8), self._drawn_for)
         lettering.write(lettering.left, lettering.top, self._name, "lt", large=True)
-        caption = f"{clock:.2f} s"
+        caption = f"{CONTROL_S * int(world.elapsed[0]):.2f} s"
         if world.task.waypoints > 1:
             caption += f"   to target {waypoint + 1} of {world.task.waypoints}"
         lettering.write(lettering.left, lettering.low, caption, "ls", large=True)
@@ -130,15 +116,3 @@ class _Camera:
         if plane is not None:
             lettering.key()
         return lettering.image()
-
-    def _pool(self) -> Array:
-        """Opacity of the grid and the walls of the pool, shape (height, width)."""
-        x, y = self._x, self._y
-        length, breadth = (side / 2 for side in self._world.task.domain_m)
-        inside = (np.abs(x) < length) & (np.abs(y)[:, None] < breadth)
-        share = np.where(inside, 0.16 * grid_lines(x, y), 0.16)
-        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * [length, breadth]
-        walls = np.zeros_like(share)
-        for ends in zip(corners[:-1], corners[1:], strict=True):
-            add_line(walls, np.stack(ends), 1.5, x, y)
-        return np.asarray(np.maximum(share, walls))

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,14 +17,12 @@ from rl.controllers.classical import (
     ProportionalNavigation,
     tuned,
 )
-from rl.controllers.discrete_cpg import read_policy, read_table
+from rl.controllers.discrete_cpg import read_policy
 from rl.deploy.export import read_zip
 from rl.deploy.policy import PolicyController, read_npz
+from rl.sac.policy_zip import read_settings
 from sim2real.errors import InputError
 from sim2real.robot import Robot
-
-CONTROLLERS = ("pnl", "adrc")
-"""Classical controllers, by their names on the command line."""
 
 
 def with_price(name: str) -> tuple[str, float | None]:
@@ -46,39 +43,38 @@ def shown(name: str) -> str:
     return (path.parent.name if path.stem == "policy" and path.parent.name else path.stem) + suffix
 
 
-def controller_of(
-    name: str, limits_rad: Sequence[tuple[float, float]], n_envs: int, *, gains: Path | None = None
-) -> Controller:
-    """The controller of a policy file or one of ``CONTROLLERS``, with a pace as in ``pnl-fast``.
+def controller_of(name: str, robot: Robot, *, gains: Path | None = None) -> Controller:
+    """The controller of a policy file, ``pnl`` or ``adrc``, with a pace as in ``pnl-fast``.
 
     For ``FILE.zip@PRICE`` see ``set_price``; ``gains`` is a file of gains, by default the twin's.
     """
+    limits = [joint.limits_rad for joint in robot.joints]
     kind, _, pace = name.partition("-")
-    if kind in CONTROLLERS and (not pace or pace in PACES):
+    if kind in ("pnl", "adrc") and (not pace or pace in PACES):
         file, pace = gains or TUNED, pace or "middle"
         if kind == "pnl":
-            pnl_gains = tuned("pnl", PNLGains, pace, file)
-            return ProportionalNavigation(limits_rad, n_envs, pnl_gains)
-        return DisturbanceRejection(limits_rad, n_envs, tuned("adrc", ADRCGains, pace, file))
-    if (table := read_table(name)) is not None:
-        return read_policy(name, table, limits_rad, n_envs)
+            return ProportionalNavigation(limits, tuned("pnl", PNLGains, pace, file))
+        return DisturbanceRejection(limits, tuned("adrc", ADRCGains, pace, file))
     path, price = with_price(name)
-    policy = read_npz(name) if name.endswith(".npz") else read_zip(path, price=price)
-    if len(policy.joints) != len(limits_rad):
+    if name.endswith(".npz"):
+        policy = read_npz(name)
+    elif price is None and read_settings(path).get("algorithm") == "DQN":
+        return read_policy(path, limits)
+    else:
+        policy = read_zip(path, price=price)
+    if len(policy.joints) != len(limits):
         joints = f"{len(policy.joints)} joints"
-        raise InputError(name, "joints", joints, f"{len(limits_rad)}, as the robot has")
+        raise InputError(name, "joints", joints, f"{len(limits)}, as the robot has")
     return PolicyController(policy)
 
 
-def named_controllers(
-    policies: Sequence[str], robot: Robot
-) -> dict[str, Callable[[int], Controller]]:
-    """Functions from a number of robots to controllers, by the names that are shown."""
+def named_controllers(policies: Sequence[str], robot: Robot) -> dict[str, Controller]:
+    """Controllers of a robot, by the names that are shown."""
     limits = [joint.limits_rad for joint in robot.joints]
     joints = tuple(joint.name for joint in robot.joints)
-    out: dict[str, Callable[[int], Controller]] = {}
+    out: dict[str, Controller] = {}
     for name in dict.fromkeys(policies):
-        controller = controller_of(name, limits, 1)
+        controller = controller_of(name, robot)
         if isinstance(controller, PolicyController):
             policy = controller.policy
             if tuple(policy.joints) != joints:
@@ -89,8 +85,7 @@ def named_controllers(
                 found = ", ".join(f"{low:.3g} to {high:.3g}" for low, high in ends)
                 raise InputError(name, "limits", f"{found} rad", f"the limits of {robot.name}")
         label = shown(name)
-        label = name if label in out else label
-        out[label] = partial(controller_of, name, limits)
+        out[name if label in out else label] = controller
     if not out:
         raise InputError("forecast", "policies", "none", "at least one policy")
     return out

@@ -1,58 +1,36 @@
 """A user-defined reality: a Python file that moves and measures robots.
 
-``sim2real ablate --reality FILE.py`` tests trained policies in it. The file may import modules of
-its own folder, and defines::
-
-    def make(robot, n, seed, device, **options):
-        ...               # n robots; ``device`` is cpu or cuda:0, as training's
-        return reality
-
-    AT_ONCE = 1           # if the number of robots at a time is limited, or:
-    def at_once(**options): return 1       # the same, as a function of the options of make
-
-``reality.reset(pose, joint)`` places the robots at rest at poses (n, 3) with joint angles (n, J);
-``reality.step(desired)`` commands joint angles (n, J), held for 0.02 s. Both return measurements:
-poses (n, 3), x and y of the head's centre of mass in m and its heading in rad, in the pool's frame,
-and joint angles (n, J) as the servos report them; NaN where there is none. A robot whose episode is
-over is commanded to straight joints. A surrogate can add ``reality.rate()``, true joint rates
-(n, J) in rad/s; from reported angles half of the energy is missed.
+``docs/tutorial/your-own-test-bench.md`` describes it. The file may import modules of its own
+folder; its ``make`` may have options of its own, and ``at_once(**options)`` may stand in the place
+of ``AT_ONCE``. A robot whose episode is over is commanded to straight joints. A surrogate can add
+``reality.rate()``, true joint rates (n, J) in rad/s; from reported angles half of the energy is
+missed.
 """
 
 from __future__ import annotations
 
-import hashlib
 import inspect
 import runpy
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
 
 from rl.deploy.link import SILENCE_S
-from rl.task import CONTROL_S, Task
+from rl.make import digest
+from rl.task import CONTROL_S, Starts, Task
 from rl.world import Draws, World
 from sim.robot.live import Live
 from sim2real.arrays import Array, Index, Mask
 from sim2real.errors import InputError
 from sim2real.model import Model
+from sim2real.output import sha256_of
 from sim2real.robot import Robot
 from sim2real.velocity import NEWEST, slope_weights
-
-
-class Starts(NamedTuple):
-    """Where n episodes begin: poses (n, 3), joint angles (n, J), waypoints (n, W, 2)."""
-
-    pose: Array
-    joint: Array
-    targets: Array
-
-    def of(self, rows: Index) -> Starts:
-        """The starts of some of the episodes."""
-        return Starts(*(x[rows] for x in self))
 
 
 @dataclass(frozen=True)
@@ -94,8 +72,7 @@ def read_reality(path: Path, **options: Any) -> RealityFile:  # noqa: ANN401 - t
         at_once = by_options(**{**defaults, **options})
     if at_once is not None and (type(at_once) is not int or at_once < 1):
         raise InputError(path, "AT_ONCE", repr(at_once), "a number of robots, at least 1")
-    digests = [hashlib.sha256(file.read_bytes()).digest() for file in files]
-    sha256 = hashlib.sha256(b"".join(digests)).hexdigest()
+    sha256 = digest([sha256_of(file) for file in files])
     return RealityFile(tuple(files), sha256, {**defaults, **options}, at_once, make)
 
 

@@ -44,32 +44,26 @@ def expected(values: Array) -> Array:
     """The mean of all trials that each draw would have, shape (N,).
 
     The means of T trials are drawn towards their mean until the chance of single trials is gone
-    from their variance. Values of 0 and 1 have a beta distribution between realities.
+    from their variance. Values of 0 and 1 have a beta distribution between realities, in the order
+    of their shares of ones.
     """
-    if _binary(values):
-        return _shares(values)
-    mean = values.mean(axis=1)
-    return np.asarray(mean.mean() + np.sqrt(reliability(values)) * (mean - mean.mean()))
+    shares, (N, T) = values.mean(axis=1), values.shape
+    if not _binary(values):
+        return np.asarray(shares.mean() + np.sqrt(reliability(values)) * (shares - shares.mean()))
+    mean = (values.sum() + 0.5) / (N * T + 1)
+    common = min(between_within(values)[0] / (mean * (1 - mean)), 0.99)
+    # without a common cause in sight a tenth of the variance is between realities; where ones or
+    # zeros are rare the posterior by Jeffreys's prior is the widest distribution (Brown, Cai and
+    # DasGupta, Stat. Sci. 16 (2001) 101), whose interval contains its mean
+    size = 1 / common - 1 if common > 0.1 else max(1 / 0.1 - 1, 0.5 / min(mean, 1 - mean))
+    out = np.empty(N)
+    levels = (np.arange(N) + 0.5) / N
+    out[np.argsort(shares, kind="stable")] = beta.ppf(levels, mean * size, (1 - mean) * size)
+    return out
 
 
 def _binary(values: Array) -> bool:
     return bool(np.isin(values, (0.0, 1.0)).all())
-
-
-def _shares(values: Array, least: float = 0.1) -> Array:
-    """The probability of 1 in each draw, in the order of its share of ones, shape (N,)."""
-    N, T = values.shape
-    mean = (values.sum() + 0.5) / (N * T + 1)
-    common = min(between_within(values)[0] / (mean * (1 - mean)), 0.99)
-    rare = 0.5 / min(mean, 1 - mean)
-    size = 1 / common - 1 if common > least else max(1 / least - 1, rare)
-    order = np.argsort(values.mean(axis=1), kind="stable")
-    # without a common cause in sight the share ``least`` of the variance is between realities;
-    # where ones or zeros are rare the posterior by Jeffreys's prior is the widest distribution
-    # (Brown, Cai and DasGupta, Stat. Sci. 16 (2001) 101), whose interval contains its mean
-    out = np.empty(N)
-    out[order] = beta.ppf((np.arange(N) + 0.5) / N, mean * size, (1 - mean) * size)
-    return out
 
 
 def means(values: Array, trials: float = np.inf) -> Array:
@@ -163,10 +157,9 @@ def differences(results: Mapping[str, Any], figure: str = OUTCOME) -> dict[str, 
     reference = table.pop("full", {})
     out = {}
     for arm, outcomes in table.items():
-        seeds = [seed for seed in reference if seed in outcomes]
-        if seeds:
-            samples = (np.array([rows[s] for s in seeds]) for rows in (reference, outcomes))
-            out[arm] = paired(*samples)
+        pairs = np.array([(x, outcomes[seed]) for seed, x in reference.items() if seed in outcomes])
+        if pairs.size:
+            out[arm] = paired(*pairs.T)
     return out
 
 

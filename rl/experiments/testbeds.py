@@ -15,11 +15,11 @@ from rl.deploy.export import policy_of, set_price
 from rl.deploy.policy import PolicyController
 from rl.experiments.episodes import Episodes, run_episodes, summary
 from rl.experiments.named import controller_of
-from rl.experiments.reality import RealityFile, Starts, real_world
+from rl.experiments.reality import RealityFile, real_world
 from rl.make import Fidelity, digest, draws_of, make_world, own_stream
 from rl.sac.sac import read_agent
 from rl.sac.train import digest_of
-from rl.task import TASKS, Task
+from rl.task import TASKS, Starts, Task
 from rl.world import Draws, World
 from sim2real.arrays import Array, Array32, Index, Mask
 from sim2real.model import Model
@@ -32,25 +32,16 @@ UNSEEN = 10_000
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """``twin`` or ``fluid``, CPU threads, side of a cell, and draws of a forecast in a batch."""
+    """Arguments of ``make_world``."""
 
     fidelity: Fidelity = "twin"
     device: str = "cpu"
     threads: int = 1
     cell_m: float = 0.02
-    at_once: int = 50
-
-    @property
-    def world(self) -> dict[str, Any]:
-        """Arguments of ``make_world``."""
-        return {k: x for k, x in vars(self).items() if k != "at_once"}
 
 
-IN_TWIN = SimulationSettings()
 Watcher = Callable[[World], Callable[[Mask], None]]
 """From a world to what is called after each of its control periods, see ``run_episodes``."""
-Maker = Callable[[int], Controller]
-"""A function of the number of robots to their controller."""
 
 
 def unwatched(_: World) -> Callable[[Mask], None]:
@@ -73,46 +64,42 @@ class Controllers:
 
     def reset(self) -> None:
         """All robots begin anew."""
-        for controller, _ in self._shares():
+        for controller in self.controllers:
             controller.reset()
 
     def act(self, observation: Array32) -> Array32:
         """Actions of all robots, shape (n, J), for their observations (n, O)."""
-        acted = np.concatenate([c.act(observation[rows]) for c, rows in self._shares()])
-        actions = np.empty_like(acted)
-        actions[np.argsort(self.owner, kind="stable")] = acted
-        return actions
-
-    def _shares(self) -> list[tuple[Controller, Mask]]:
-        return [(self.controllers[k], self.owner == k) for k in np.unique(self.owner)]
+        owners = np.unique(self.owner)
+        acted = [self.controllers[k].act(observation[self.owner == k]) for k in owners]
+        order = np.argsort(self.owner, kind="stable")
+        return np.asarray(np.concatenate(acted)[np.argsort(order)])
 
 
-def same_starts(task: Task, agents: int, repeats: int, seed: int, J: int) -> Starts:
-    """Starts and targets of ``repeats`` episodes, the same for each agent, agent by agent."""
-    placed = task.place(np.random.default_rng(seed), repeats, J)
-    return Starts(*(np.tile(x, (agents, *[1] * (x.ndim - 1))) for x in placed))
+def trials_of(
+    swim: Callable[..., Episodes], controllers: Sequence[Controller], robot: Robot, task: Task,
+    repeats: int, seed: int, watcher: Watcher = unwatched,
+) -> list[Episodes]:  # fmt: skip
+    """``repeats`` episodes of each controller, with the same starts for all; see ``Testbed``."""
+    placed = task.place(np.random.default_rng(seed), repeats, len(robot.joints))
+    K, who = len(controllers), Controllers(controllers, repeats)
+    starts = Starts(*(np.tile(x, (K, *[1] * (x.ndim - 1))) for x in placed))
+    swims = swim(who, robot, task, starts, seed, watcher)
+    return [swims.of(who.owner == k) for k in range(K)]
 
 
 def simulate(
-    robot: Robot,
-    task: Task,
-    starts: Starts,
-    draws: Sequence[Draws],
-    controller: Controller,
-    settings: SimulationSettings,
-    *,
-    seed: int,
-    name: str,
-    watcher: Watcher = unwatched,
-    **options: Any,  # noqa: ANN401 - those of ``make_world``
-) -> Episodes:
-    """One episode of each robot in the fluid or the twin, all at once."""
+    who: Controller, robot: Robot, task: Task, starts: Starts, seed: int,
+    watcher: Watcher = unwatched, *,
+    draws: Sequence[Draws], settings: SimulationSettings, name: str,
+    **options: Any,  # noqa: ANN401
+) -> Episodes:  # fmt: skip
+    """One episode of each robot in the fluid or the twin; ``options`` are of ``make_world``."""
     with own_stream(settings.device):
         world = make_world(
             robot, replace(task, place=lambda *_: starts), draws, n_envs=len(starts.pose),
-            seed=seed, **settings.world, **options,
+            seed=seed, **vars(settings), **options,
         )  # fmt: skip
-        return run_episodes(world, controller, name=name, watch=watcher(world))
+        return run_episodes(world, who, name=name, watch=watcher(world))
 
 
 @dataclass(frozen=True)
@@ -123,33 +110,28 @@ class DrawnTrials:
     model: Model
     ranges: Ranges | None = None
     episodes: int = 20  # of each controller
-    settings: SimulationSettings = IN_TWIN
+    settings: SimulationSettings = SimulationSettings()
 
-    def run(self, task: Task, makers: Mapping[str, Maker], seed: int = 0) -> dict[str, Episodes]:
+    def run(
+        self, task: Task, controllers: Mapping[str, Controller], seed: int = 0
+    ) -> dict[str, Episodes]:
         """The episodes of each controller, by its name."""
-        n, J = self.episodes, len(self.robot.joints)
+        n, steering = self.episodes, list(controllers.values())
         drawn = draws_of(self.model, self.ranges, self.robot, seed=seed + UNSEEN, n=n)
-        draws = [Draws((m,), drawn.noise) for m in drawn.models] * len(makers)
-        steering = Controllers([make(n) for make in makers.values()], n)
-        swims = simulate(
-            self.robot, task, same_starts(task, len(makers), n, seed, J), draws, steering,
-            self.settings, seed=seed, name=task.name,
-        )  # fmt: skip
-        return {name: swims.of(steering.owner == k) for k, name in enumerate(makers)}
+        draws = [Draws((m,), drawn.noise) for m in drawn.models] * len(steering)
+        swim = partial(simulate, draws=draws, settings=self.settings, name=task.name)
+        swims = trials_of(swim, steering, self.robot, task, n, seed)
+        return dict(zip(controllers, swims, strict=True))
 
     def summaries(
-        self, tasks: Sequence[Task], makers: Mapping[str, Maker], seed: int
+        self, tasks: Sequence[Task], controllers: Mapping[str, Controller], seed: int
     ) -> dict[str, dict[str, Any]]:
         """The summary of each task, by controller and task."""
-        rows: dict[str, dict[str, Any]] = {name: {} for name in makers}
+        rows: dict[str, dict[str, Any]] = {name: {} for name in controllers}
         for task in tasks:
-            for name, episodes in self.run(task, makers, seed).items():
+            for name, episodes in self.run(task, controllers, seed).items():
                 rows[name][task.name] = summary(episodes, task)
         return rows
-
-    def maker(self, name: str) -> Maker:
-        """A maker of the controller of a policy file or a name, see ``controller_of``."""
-        return partial(controller_of, name, [joint.limits_rad for joint in self.robot.joints])
 
 
 class Testbed(NamedTuple):
@@ -169,14 +151,7 @@ def simulated(
     **options: Any,  # noqa: ANN401 - those of the simulator
 ) -> Testbed:
     """The fluid or the twin, with robot and noise of each agent, in the agents' order."""
-
-    def swim(
-        who: Controllers, robot: Robot, task: Task, starts: Starts, seed: int,
-        watcher: Watcher = unwatched,
-    ) -> Episodes:  # fmt: skip
-        more = {**options, "seed": seed, "name": name, "watcher": watcher}
-        return simulate(robot, task, starts, draws, who, settings, **more)
-
+    swim = partial(simulate, draws=draws, settings=settings, name=name, **options)
     fluid = settings.fidelity == "fluid"
     water = f"fluid, cells of {100 * settings.cell_m:g} cm" if fluid else "twin"
     content = ([digest_of(one) for one in draws], (settings.fidelity, settings.cell_m, options))
@@ -209,20 +184,15 @@ def real(file: RealityFile, device: str = "cpu") -> Testbed:
 def _joined(parts: Sequence[Episodes]) -> Episodes:
     """Concatenate episodes, padding the shorter recordings with NaN."""
     T = max(len(part.pose) for part in parts)
-
-    def padded(values: Array) -> Array:
-        rest = np.full((T - len(values), *values.shape[1:]), np.nan)
-        return np.concatenate([values, rest])
-
-    rows = {
-        name: np.concatenate([padded(getattr(part, name)) for part in parts], axis=1)
-        for name in ("pose", "rate", "value")
-    }
-    each = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("reached", "steps", "targets")
-    }
-    return Episodes(**rows, **each)
+    joined: dict[str, Any] = {}
+    for name in vars(parts[0]):
+        values = [getattr(part, name) for part in parts]
+        if timed := name in ("pose", "rate", "value"):
+            values = [
+                np.concatenate([x, np.full((T - len(x), *x.shape[1:]), np.nan)]) for x in values
+            ]
+        joined[name] = np.concatenate(values, axis=int(timed))
+    return Episodes(**joined)
 
 
 HELD_OUT = ("turn", "mixed")
@@ -246,9 +216,10 @@ def held_out(
     ``names`` are those of the tasks. The result: ``best``, the folder name of the agent with the
     highest score, and by name ``score``, the ``success`` over all tasks and the summary of each.
     """
-    makers = {folder.name: trials.maker(str(folder / "policy.zip")) for folder in folders}
+    files = {folder.name: str(folder / "policy.zip") for folder in folders}
+    controllers = {name: controller_of(file, trials.robot) for name, file in files.items()}
     tasks = [replace(TASKS[name], energy=energy) for name in names]
-    agents = trials.summaries(tasks, makers, SEED)
+    agents = trials.summaries(tasks, controllers, SEED)
     for rows in agents.values():
         for mean, figure in (("score", "reward"), ("success", "success")):
             rows[mean] = float(np.mean([rows[name][figure] for name in names]))
@@ -269,23 +240,21 @@ def choose_prices(trials: DrawnTrials, folders: Sequence[Path]) -> dict[str, flo
         for folder, agent in read.items()
         if getattr(agent, "by_price", {}).get("column") is not None
     }
-    makers: dict[str, Maker] = {"pnl": trials.maker("pnl")}
+    controllers = {"pnl": controller_of("pnl", trials.robot)}
     for folder, agent in agents.items():
         for exponent in EXPONENTS:
             set_price(agent, agent.by_price["prices"] ** exponent)
-            steered: Controller = PolicyController(policy_of(agent))
-            makers[f"{folder}@{exponent}"] = lambda _, steered=steered: steered  # type: ignore[misc]
-    rows = trials.summaries([TASKS[name] for name in PRICED] if agents else [], makers, PRICE_SEED)
+            controllers[f"{folder}@{exponent}"] = PolicyController(policy_of(agent))
+    tasks = [TASKS[name] for name in PRICED] if agents else []
+    rows = trials.summaries(tasks, controllers, PRICE_SEED)
+
+    def spent(name: str) -> Array:
+        return np.array([[rows[name][task][x] for x in ("time_s", "energy")] for task in PRICED])
+
     chosen = {}
     for folder, agent in agents.items():
-        worst = [
-            max(
-                rows[f"{folder}@{exponent}"][task][spent] / max(rows["pnl"][task][spent], 1e-9)
-                for task in PRICED
-                for spent in ("time_s", "energy")
-            )
-            for exponent in EXPONENTS
-        ]
+        ratios = [spent(f"{folder}@{x}") / np.maximum(spent("pnl"), 1e-9) for x in EXPONENTS]
+        worst = [one.max() for one in ratios]
         chosen[folder.name] = float(agent.by_price["prices"] ** EXPONENTS[int(np.argmin(worst))])
         set_price(agent, chosen[folder.name])
         agent.save(folder / "policy.zip")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,11 +25,22 @@ from rl.forecast.trials import (
 from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
+from sim2real.report.drawing import svg
+from sim2real.report.notebook import result_section
+from sim2real.report.page import Block, Note, Section, Table, Text, write_page
+from sim2real.report.page import Figure as Picture
+from sim2real.structured import read_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SCHEMA = "sim2real.forecast/1"
+SEALED = Path(__file__).with_name("sealed.json")
+"""Results of 90 % intervals on sets of realities, by ``benchmarks/forecast_realities.py``."""
+_PATHS = (
+    "The first trial in twenty realities, with the start at the right and the target at the left; "
+    "grey where it is not reached."
+)
 
 
 @dataclass(frozen=True)
@@ -63,23 +75,6 @@ def limit_of(text: str) -> Limit:
         expected = f"FIGURE<=VALUE or FIGURE>=VALUE@SHARE, with one of {', '.join(FIGURES)}"
         raise InputError("forecast", "limit", repr(text), expected) from None
     return limit
-
-
-class Row(NamedTuple):
-    """A figure of a policy: its mean, and 90 % intervals of the mean and the next trial."""
-
-    policy: str
-    figure: str
-    mean: float
-    mean_90: Sequence[float]
-    next_trial_90: Sequence[float]
-
-    @property
-    def texts(self) -> tuple[str, str, str]:
-        """The mean and both intervals; that of the next trial is empty for success."""
-        shape = FIGURES[self.figure].digits
-        ends = [f"{low:{shape}} to {high:{shape}}" for low, high in self[3:]]
-        return f"{self.mean:{shape}}", ends[0], "" if self.figure == "success" else ends[1]
 
 
 @dataclass(frozen=True)
@@ -154,21 +149,21 @@ class Forecast(NotebookDisplay):
         """The forecast after trials of the real robot."""
         return replace(self, update=update(trials, self.figures))
 
-    def rows(self) -> list[Row]:
-        """The intervals of all policies and figures: rows of every table."""
+    def rows(self) -> list[tuple[str, str, float, list[float], list[float]]]:
+        """Policy, figure, its mean, 90 % intervals of the mean and the next trial; of all."""
         out = []
         for policy in self.policies:
             for figure in FIGURES:
                 (mean, *ends), (_, *trial) = (self.interval(policy, figure, n) for n in (np.inf, 1))
-                out.append(Row(policy, figure, mean, ends, trial))
+                out.append((policy, figure, mean, ends, trial))
         return out
 
     def content(self) -> dict[str, Any]:
         """Content of ``forecast.json``."""
         table: dict[str, dict[str, Any]] = {policy: {} for policy in self.policies}
-        for policy, figure, *values in self.rows():
-            named = dict(zip(("mean", "mean_90", "next_trial_90"), values, strict=True))
-            table[policy][figure] = {"unit": FIGURES[figure].unit, **named}
+        for policy, figure, mean, ends, trial in self.rows():
+            intervals = {"mean": mean, "mean_90": ends, "next_trial_90": trial}
+            table[policy][figure] = {"unit": FIGURES[figure].unit, **intervals}
         for policy, entry in table.items():
             entry["limits"] = {str(x): self.probability(policy, x) for x in self.limits}
         found = self.update
@@ -192,11 +187,6 @@ class Forecast(NotebookDisplay):
             "provenance": dict(self.provenance),
         }
 
-    def __str__(self) -> str:
-        """The tables and the notes of the page."""
-        import_module("rl.forecast.page")  # registers the section of a forecast
-        return super().__str__()
-
     @property
     def verdict(self) -> str:
         """What the trials of the real robot say of the forecast; empty before."""
@@ -208,13 +198,9 @@ class Forecast(NotebookDisplay):
         number = f"{self.update.effective:.0f} of {len(self.weights)} realities"
         return f"trials: {self.update.trials} agree with the forecast ({found}), {number} count"
 
-    def _repr_html_(self) -> str | None:
-        import_module("rl.forecast.page")
-        return super()._repr_html_()
-
     def plot(self) -> Figure:
         """Paths of twenty realities over the pool, a panel for each policy."""
-        from rl.experiments.paths import aligned, paths_figure
+        from rl.experiments.figures import aligned, paths_figure
         from sim2real.report.style import ACCENT, MUTED
 
         ways = {}
@@ -227,3 +213,97 @@ class Forecast(NotebookDisplay):
             ]
         away = np.linalg.norm(self.targets[:, 0] - self.paths[0, :, 0], axis=1)
         return paths_figure(ways, "Paths over the pool in the first realities", away_m=away)
+
+
+@result_section.register
+def _forecast(forecast: Forecast) -> Section:
+    """All sections in one, for a terminal or a notebook."""
+    first, *others = sections(forecast, plots=False)
+    parts = ((Text(one.lead, one.title), *one.blocks) for one in others)
+    return Section(first.title, first.lead, [*first.blocks, *(x for part in parts for x in part)])
+
+
+def write_forecast_page(forecast: Forecast, path: str | os.PathLike[str]) -> None:
+    """Write the page: intervals, paths, ranking, what to do next."""
+    title = f"Forecast of {forecast.robot}"
+    number = f"{len(forecast.parameters)} realities that agree with what is known"
+    subtitle = f"The task “{forecast.task}” in {number}"
+    write_page(path, title, subtitle, sections(forecast), forecast.provenance)
+
+
+def sections(forecast: Forecast, *, plots: bool = True) -> list[Section]:
+    """Sections of the page, or those without plots."""
+    rows = []
+    for policy, figure, mean, *intervals in forecast.rows():
+        shape = FIGURES[figure].digits
+        ends = [f"{low:{shape}} to {high:{shape}}" for low, high in intervals]
+        trial = "" if figure == "success" else ends[1]
+        rows.append((policy, FIGURES[figure].label, f"{mean:{shape}}", ends[0], trial))
+    header = ("policy", "figure", "expected", "mean, 90 % interval", "next trial, 90 %")
+    caption = (
+        "The interval of the mean is that of many trials of the real robot; that of the next trial "
+        "contains the chance of a single one. Trials without arrival count with the full time."
+    )
+    blocks: list[Block] = [Table(header, rows, caption)]
+    blocks += [
+        Note("info", f"{policy}: P({limit}) = {forecast.probability(policy, limit):.2f}")
+        for policy in forecast.policies
+        for limit in forecast.limits
+    ]
+    blocks.append(Note("info", _worth()))
+    blocks += [Note("warn", note) for note in forecast.notes]
+    if forecast.update is not None:
+        kind: Any = "warn" if forecast.update.contradicted else "good"
+        blocks.insert(0, Note(kind, forecast.verdict))
+    lead = f"{forecast.task} of {forecast.robot} in {len(forecast.parameters)} realities."
+    out = [Section("What to expect", lead, blocks)]
+    if plots:
+        out.append(Section("Paths", _PATHS, [Picture(svg(forecast.plot()), "")]))
+    if len(forecast.policies) > 1:
+        order = [(policy, f"{chance:.2f}") for policy, chance in forecast.ranking()]
+        lead = f"By {FIGURES[forecast.rank_by].label}, best first."
+        table = Table(("policy", "probability to be the best"), order)
+        out.append(Section("Which policy", lead, [table]))
+    following = forecast.next_measurements()
+    if following:
+        narrower = [
+            (x.what, x.how, *(f"{100 * y:.0f} %" for y in (x.mean, *x.shrinks.values())))
+            for x in following
+        ]
+        figures = [FIGURES[name].label for name in following[0].shrinks]
+        lead = "By how much narrower the intervals of the means are expected to be after it."
+        table = Table(("what", "measurement", "mean", *figures), narrower)
+        out.append(Section("What to measure next", lead, [table]))
+    if ranges := forecast.next_ranges():
+        best = forecast.ranking()[0][0]
+        lead = (
+            f"Parameters by the share of the variance of the {FIGURES[forecast.rank_by].label} of "
+            f"{best} between realities that each explains alone. To train over all that the robot "
+            "may be, and no more, give the range of the realities to sim2real train --ranges."
+        )
+        table = Table(("parameter", "share", "realities, 90 %", "training, 90 %", "next training"),
+            [(x.parameter, f"{100 * x.share:.0f} %", _range(x.drawn), _range(x.trained), x.advice)
+             for x in ranges])  # fmt: skip
+        out.append(Section("What to randomize next", lead, [table]))
+    return out
+
+
+def _range(ends: tuple[float, float] | None) -> str:
+    if ends is None:
+        return "not stated"
+    low, high = (f"{x:.3g}" for x in ends)
+    return low if low == high else f"{low} to {high}"
+
+
+def _worth() -> str:
+    """What intervals of forecasts have been worth on sets of simulated realities."""
+    parts = []
+    for entry in read_json(SEALED)["sets"]:
+        names = ("mean time_s", "mean energy", "next time_s", "next energy")
+        parts.append(
+            "of {} {} they contained the mean time in {:.0f} %, the mean energy in {:.0f} %, the "
+            "next trial's in {:.0f} and {:.0f} %".format(
+                entry["realities"], entry["of"], *(100 * entry["held"][name] for name in names)
+            )
+        )
+    return f"What 90 % intervals have been worth: {'; '.join(parts)}. No real robot is among them."

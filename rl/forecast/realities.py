@@ -22,7 +22,7 @@ from sim.inference.swims import by_twin, simulated, swim_of, with_values
 from sim.twin.law import is_calibrated
 from sim2real.arrays import Array
 from sim2real.body import values
-from sim2real.diagnose.rival_sets import SCHEMA, JointRivals, RivalSet, read_rival_sets
+from sim2real.diagnose.rival_sets import SCHEMA, JointRivals, read_rival_sets
 from sim2real.effects import BODY, CAMERA, CATALOGUE, find
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel, Model
@@ -44,10 +44,14 @@ class Possible:
     mean: Mapping[str, float]
     sd: Mapping[str, float]
 
+    @property
+    def of_servo(self) -> bool:
+        """Whether it is an effect of a servo, not of the body."""
+        return self.effect in {effect.name for effect in CATALOGUE}
+
     def drawn(self, rng: np.random.Generator) -> dict[str, float]:
         """Its parameters, within their bounds."""
-        servo = self.effect in {effect.name for effect in CATALOGUE}
-        known: Sequence[Any] = CATALOGUE if servo else BODY
+        known: Sequence[Any] = CATALOGUE if self.of_servo else BODY
         bounds = {p.name: p for p in find(known, self.effect, "diagnosis").parameters}
         out = {}
         for k, mean in self.mean.items():
@@ -75,7 +79,7 @@ class Diagnosed:
         for one in self.possible:
             present = rng.random() < one.probability
             drawn = one.drawn(rng)
-            if one.effect in {effect.name for effect in CATALOGUE}:
+            if one.of_servo:
                 # what the supply or the link does, it does to all joints
                 for name in [one.component] if one.component in joints else list(joints):
                     others = tuple(e for e in joints[name].effects if e.effect != one.effect)
@@ -98,32 +102,27 @@ class Diagnosed:
 def _servo(servo: JointModel, joint: JointRivals, rng: np.random.Generator) -> JointModel:
     """A servo with one of its sets of effects; latency and load stay the model's."""
     probability = np.array([one.probability for one in joint.sets])
-    one = joint.sets[rng.choice(len(joint.sets), p=probability / probability.sum())]
-    row = _row(one, rng)
-    effects = []
-    for effect in CATALOGUE:
-        if effect.name in one.effects:
-            first = COLUMNS.index(f"{effect.name}.{effect.parameters[0].name}")
-            named = zip(effect.parameters, row[first : first + len(effect.parameters)], strict=True)
-            effects.append(FittedEffect(effect.name, {p.name: float(x) for p, x in named}))
+    chosen = joint.sets[rng.choice(len(joint.sets), p=probability / probability.sum())]
+    row = chosen.theta.copy()  # drawn with the signs that its fit found
+    if chosen.columns.size:
+        scale = np.maximum(
+            np.abs(row[chosen.columns]), 1e-12
+        )  # units differ by orders of magnitude
+        information = chosen.information * np.outer(scale, scale)
+        covariance = np.linalg.pinv(information, hermitian=True)
+        step = scale * rng.multivariate_normal(np.zeros(chosen.columns.size), covariance)
+        drawn = row[chosen.columns] + step
+        row[chosen.columns] = np.where(drawn * row[chosen.columns] < 0, 0.0, drawn)
+    row[:FIRST_EFFECT_COLUMN] = np.maximum(row[:FIRST_EFFECT_COLUMN], 0.0)
+    value = dict(zip(COLUMNS, row.tolist(), strict=True))
+    effects = [
+        FittedEffect(one.name, {p.name: value[f"{one.name}.{p.name}"] for p in one.parameters})
+        for one in (effect for effect in CATALOGUE if effect.name in chosen.effects)
+    ]
     fitted = stated(row, joint.load, effects, servo.law)
     if fitted.per_inertia != servo.per_inertia:
         return servo
     return replace(fitted, latency_s=servo.latency_s, inertia_kgm2=servo.inertia_kgm2)
-
-
-def _row(one: RivalSet, rng: np.random.Generator) -> Array:
-    """A draw of the parameters of a set, with the signs that its fit found, shape (P,)."""
-    row = one.theta.copy()
-    if one.columns.size:
-        scale = np.maximum(np.abs(row[one.columns]), 1e-12)  # units differ by orders of magnitude
-        information = one.information * np.outer(scale, scale)
-        covariance = np.linalg.pinv(information, hermitian=True)
-        step = scale * rng.multivariate_normal(np.zeros(one.columns.size), covariance)
-        drawn = row[one.columns] + step
-        row[one.columns] = np.where(drawn * row[one.columns] < 0, 0.0, drawn)
-    row[:FIRST_EFFECT_COLUMN] = np.maximum(row[:FIRST_EFFECT_COLUMN], 0.0)
-    return row
 
 
 def read_diagnosed(path: str | os.PathLike[str]) -> Diagnosed:
@@ -200,15 +199,9 @@ class Realities:
 
 
 def draw_realities(
-    robot: Robot,
-    model: Model,
-    ranges: Ranges,
-    sample: JointSample,
-    n: int,
-    rng: np.random.Generator,
-    *,
-    diagnosed: Diagnosed | None = None,
-) -> Realities:
+    robot: Robot, model: Model, ranges: Ranges, sample: JointSample, n: int,
+    rng: np.random.Generator, *, diagnosed: Diagnosed | None = None,
+) -> Realities:  # fmt: skip
     """Draw n realities, with the noise of the ranges.
 
     Velocities and energy of a calibrated body have the relative error of the twin; a body that was
@@ -252,7 +245,11 @@ def _with_bodies(models: Sequence[Model], model: Model, rng: np.random.Generator
                 late[:, k] = [one.joints[name.split(".")[0]].latency_s for one in models]
         late -= late.mean(axis=0)
         mean = np.array(posterior["mean"])[own]
-        covariance = np.array(posterior["covariance"])[np.ix_(own, own)] * _overfit(model)
+        fits = [model.fit.get(f"body.{name}", {}) for name in _BODY]
+        pairs = [(one.get("heldout"), one.get("train")) for one in fits]
+        overfit = [(held / max(train, 1e-9)) ** 2 for held, train in pairs if held and train]
+        covariance = np.array(posterior["covariance"])[np.ix_(own, own)]
+        covariance = covariance * max(1.0, float(np.mean(overfit or [1.0])))
         drawn = rng.multivariate_normal(mean, covariance, size=len(models))
     else:
         if is_calibrated(model.body):
@@ -271,14 +268,6 @@ def _with_bodies(models: Sequence[Model], model: Model, rng: np.random.Generator
     return [with_values(one, row) if row else one for one, row in zip(models, rows, strict=True)]
 
 
-def _overfit(model: Model) -> float:
-    """Ratio of the velocities' mean square error on held-out data to that on fitted data, or 1."""
-    fits = [model.fit.get(f"body.{name}", {}) for name in _BODY]
-    pairs = [(one.get("heldout"), one.get("train")) for one in fits]
-    ratios = [held / max(train, 1e-9) for held, train in pairs if held and train]
-    return max(1.0, float(np.mean(np.square(ratios)))) if ratios else 1.0
-
-
 def unexplained(fit: Mapping[str, Mapping[str, float | None]], joints: Sequence[str]) -> Array:
     """What a fit leaves unexplained beyond noise, by held-out errors if any, shape (3 + J,)."""
     out = []
@@ -293,25 +282,20 @@ def read_realities(
     robot: Robot, model: Model, ranges_file: Path, n: int, seed: int,
     diagnosed: Diagnosed | None = None,
 ) -> Realities:  # fmt: skip
-    """Draw n realities with the ranges in a file, which has a posterior sample of the model."""
+    """Draw n realities with the ranges in a file, which has a posterior sample of the model.
+
+    Values of the model are at most one width and 5 % of themselves outside the ranges.
+    """
     ranges = read_ranges(ranges_file)
     if not ranges.posterior:
         expected = "ranges of bench recordings, which sample the posterior"
         raise InputError(ranges_file, "posterior", "none", expected)
-    sample = read_sample(ranges_file.with_name(ranges.posterior))
-    _check_ranges(ranges, model, ranges_file)
-    rng = np.random.default_rng(seed)
-    return draw_realities(robot, model, ranges, sample, n, rng, diagnosed=diagnosed)
-
-
-def _check_ranges(ranges: Ranges, model: Model, path: Path) -> None:
-    """Check that values of the model are at most one width and 5 % of themselves outside ranges."""
     known = numbers_of(model)
     for entry in ranges.entries:
         joint, _, tail = entry.parameter.partition(".")
         if tail == "latency_offset_s" and joint not in model.joints:
             joints = ", ".join(model.joints)
-            raise InputError(path, entry.parameter, "a joint not of the model", joints)
+            raise InputError(ranges_file, entry.parameter, "a joint not of the model", joints)
         low, high = entry.first, entry.second
         if entry.distribution == "normal":
             low, high = (entry.first + side * _NORMAL_90 * entry.second for side in (-1, 1))
@@ -319,7 +303,10 @@ def _check_ranges(ranges: Ranges, model: Model, path: Path) -> None:
         slack = (high - low) + 0.05 * abs(value)
         if not low - slack <= value <= high + slack:
             found = f"{low:.4g} to {high:.4g}"
-            raise InputError(path, entry.parameter, found, f"the model's {value:.4g} within")
+            raise InputError(ranges_file, entry.parameter, found, f"the model's {value:.4g} within")
+    sample = read_sample(ranges_file.with_name(ranges.posterior))
+    rng = np.random.default_rng(seed)
+    return draw_realities(robot, model, ranges, sample, n, rng, diagnosed=diagnosed)
 
 
 def residuals_of(recordings: Sequence[Recording], model: Model, robot: Robot) -> list[Array]:

@@ -15,9 +15,9 @@ import torch
 from scipy.signal import lfilter
 from torch.utils.dlpack import from_dlpack
 
+from rl.controllers import Controller
 from rl.experiments.episodes import FIGURES, Episodes, measured
-from rl.experiments.reality import Starts
-from rl.experiments.testbeds import Maker, SimulationSettings, simulate
+from rl.experiments.testbeds import SimulationSettings, simulate
 from rl.forecast.realities import Realities
 from rl.make import digest
 from rl.task import CONTROL_S, Task
@@ -43,15 +43,12 @@ class Forecaster:
     seed: int
     settings: SimulationSettings
     residuals: Sequence[Array] = ()
+    at_once: int = 50  # realities in a batch
 
     def swim(
-        self,
-        controllers: Mapping[str, Maker],
-        *,
-        file: Path | None = None,
-        key: str = "",
+        self, controllers: Mapping[str, Controller], *, file: Path | None = None, key: str = "",
         progress: Progress = lambda share: None,
-    ) -> dict[str, Array]:
+    ) -> dict[str, Array]:  # fmt: skip
         """Run all K policies in all N realities; trials in ``file`` with the same ``key`` are kept.
 
         The result: each of ``FIGURES``, (K, N, T); of the first trial in the first twenty realities
@@ -60,19 +57,23 @@ class Forecaster:
         """
         N, K, T = len(self.realities.models), len(controllers), self.trials
         n, samples = min(20, N), -(-(self.task.steps + 1) // 5)
-        own = digest((key, list(controllers), N, T, self.seed))
-        table = _kept(file, own) or {
+        own = digest((key, list(controllers), N, T, self.seed, self.at_once))
+        table = {
             **{name: np.full((K, N, T), np.nan) for name in FIGURES},
             "paths": np.full((K, n, samples, 2), np.nan),
             "targets": np.full((n, self.task.waypoints, 2), np.nan),
         }
-        parts = -(-N // self.settings.at_once)
-        for part in range(parts):
-            rows = self._rows(part)
+        if file is not None and file.exists():
+            with contextlib.suppress(InputError):  # a damaged file is written anew
+                kept = read_arrays(file, "trials of a forecast")
+                if str(kept.pop("digest", None)) == own:
+                    table = kept
+        batches = np.array_split(np.arange(N), range(self.at_once, N, self.at_once))
+        for part, rows in enumerate(batches):
             head, law = rows[rows < n], np.repeat(self.realities.law[rows, 3], T)
-            for k, make in enumerate(controllers.values()):
+            for k, controller in enumerate(controllers.values()):
                 if np.isnan(table["success"][k, rows]).any():
-                    episodes = self._episodes(part, make)
+                    episodes = self._episodes(part, rows, controller)
                     figures = measured(episodes, self.task)
                     more = law * figures["energy"]  # the error of the energy of each reality
                     figures["energy"] = figures["energy"] + more
@@ -87,19 +88,14 @@ class Forecaster:
                         content: dict[str, Any] = {"digest": np.array(own), **table}
                         np.savez_compressed(stream, **content)
                         write_whole(file, stream.getvalue())
-                progress((part * K + k + 1) / (K * parts))
+                progress((part * K + k + 1) / (K * len(batches)))
         return table
 
-    def _rows(self, part: int) -> Index:
-        """Numbers of the realities of a batch."""
-        first, N = part * self.settings.at_once, len(self.realities.models)
-        return np.arange(first, min(N, first + self.settings.at_once))
-
-    def _episodes(self, part: int, make: Maker) -> Episodes:
-        """Trials of one policy in the realities of a batch."""
-        each = np.repeat(self._rows(part), self.trials)
+    def _episodes(self, part: int, rows: Index, who: Controller) -> Episodes:
+        """Trials of one policy in the realities of a batch, numbers ``rows``."""
+        each = np.repeat(rows, self.trials)
         rng, E, steps = np.random.default_rng([self.seed, part]), len(each), self.task.steps
-        starts = Starts(*self.task.place(rng, E, len(self.robot.joints)))
+        starts = self.task.place(rng, E, len(self.robot.joints))
         if self.residuals:
             disturbance = blocks(self.residuals, steps, E, rng)
         else:
@@ -107,20 +103,9 @@ class Forecaster:
         draws = [Draws((self.realities.models[d],), self.realities.noise) for d in each]
         around = partial(Inexact, law=self.realities.law[each, :3], disturbance=disturbance)
         return simulate(
-            self.robot, self.task, starts, draws, make(E), self.settings, name="forecast",
-            seed=int(rng.integers(2**31)), around=around,
+            who, self.robot, self.task, starts, int(rng.integers(2**31)), draws=draws,
+            settings=self.settings, name="forecast", around=around,
         )  # fmt: skip
-
-
-def _kept(file: Path | None, own: str) -> dict[str, Array] | None:
-    """The results in a file, if they are those of the same forecast."""
-    if file is None or not file.exists():
-        return None
-    with contextlib.suppress(InputError):
-        arrays = read_arrays(file, "trials of a forecast")
-        if str(arrays.pop("digest", None)) == own:
-            return arrays
-    return None
 
 
 class Inexact:
@@ -205,9 +190,8 @@ def blocks(residuals: Sequence[Array], periods: int, n: int, rng: np.random.Gene
     length = min(100, *(len(one) for one in residuals))
     starts = [(r, t) for r, one in enumerate(residuals) for t in range(len(one) - length + 1)]
     chosen = rng.integers(len(starts), size=(-(-periods // length), n))
-    out = np.empty((len(chosen) * length, n, residuals[0].shape[1]), dtype=np.float32)
-    for b, row in enumerate(chosen):
-        for e, pick in enumerate(row):
-            r, t = starts[pick]
-            out[b * length : (b + 1) * length, e] = residuals[r][t : t + length]
-    return out[:periods]
+    rows = (
+        np.stack([residuals[r][t : t + length] for r, t in (starts[pick] for pick in row)], axis=1)
+        for row in chosen
+    )
+    return np.concatenate([row.astype(np.float32) for row in rows])[:periods]

@@ -42,12 +42,16 @@ class Trials:
 
 @dataclass(frozen=True)
 class Update:
-    """Weights of the draws after trials (N,), of sum 1, their effective number, and a p-value."""
+    """Weights of the draws after trials (N,), of sum 1, and a p-value."""
 
     weights: Array
-    effective: float
     p_value: float
     trials: int
+
+    @property
+    def effective(self) -> float:
+        """Effective number of the draws."""
+        return effective(self.weights)
 
     @property
     def contradicted(self) -> bool:
@@ -95,16 +99,22 @@ def read_trials(path: Path, policies: Sequence[str], limit_s: float) -> list[Tri
 def update(trials: Sequence[Trials], figures: Mapping[str, Array]) -> Update:
     """Weights of the draws after trials, given the figures of the forecast, (K, N, T) each.
 
-    Figures are compared by normal scores, as a rare failure would be most of the scatter of all
-    trials. The mean of a policy's n trials is normal about the mean of a draw, with the covariance
-    of simulated trials in one reality, or their own scatter where that is larger, by 1 / n.
+    Figures are compared by normal scores, linear beyond the draws, as a rare failure would be most
+    of the scatter of all trials. The mean of a policy's n trials is normal about the mean of a
+    draw, with the covariance of simulated trials in one reality, or their own scatter where that is
+    larger, by 1 / n.
     """
     N = next(iter(figures.values())).shape[1]
     rng = np.random.default_rng(0)
     log, observed, predicted = np.zeros(N), 0.0, np.zeros(N)
     for one in trials:
-        scores = [_scores(figures[name][one.policy], seen)
-                  for name, seen in zip(one.figures, one.values.T, strict=True)]  # fmt: skip
+        scores = []
+        for name, seen in zip(one.figures, one.values.T, strict=True):
+            values = figures[name][one.policy]
+            drawn, order = normal_scores(values), np.argsort(values, axis=None)
+            known = values.ravel()[order]
+            beyond = (seen - np.clip(seen, known[0], known[-1])) / max(float(known.std()), 1e-12)
+            scores.append((drawn, np.interp(seen, known, drawn.ravel()[order]) + beyond))
         drawn, real = (np.stack(part, axis=-1) for part in zip(*scores, strict=True))
         N, T, F = drawn.shape
         mean = np.stack([expected(drawn[:, :, f]) for f in range(F)], axis=1)
@@ -124,15 +134,7 @@ def update(trials: Sequence[Trials], figures: Mapping[str, Array]) -> Update:
         chance = rng.multivariate_normal(np.zeros(F), noise, size=N)
         predicted += _squares(mean + chance - mean.mean(axis=0), whole)
     p_value = float((1 + np.sum(predicted >= observed)) / (1 + N))
-    return Update(*_flattened(log), p_value, sum(len(one.values) for one in trials))
-
-
-def _scores(drawn: Array, seen: Array) -> tuple[Array, Array]:
-    """Normal scores of a figure (N, T), and those of real trials (n,): linear beyond the draws."""
-    scores, order = normal_scores(drawn), np.argsort(drawn, axis=None)
-    known = drawn.ravel()[order]
-    beyond = (seen - np.clip(seen, known[0], known[-1])) / max(float(known.std()), 1e-12)
-    return scores, np.interp(seen, known, scores.ravel()[order]) + beyond
+    return Update(_flattened(log), p_value, sum(len(one.values) for one in trials))
 
 
 def _squares(off: Array, covariance: Array) -> Array:
@@ -140,26 +142,16 @@ def _squares(off: Array, covariance: Array) -> Array:
     return np.asarray(np.einsum("ni,in->n", off, np.linalg.solve(covariance, off.T)))
 
 
-def _flattened(log: Array) -> tuple[Array, float]:
-    """Weights, and their effective number; flattened until 20 count, so as not to be too narrow."""
+def _flattened(log: Array) -> Array:
+    """Weights, flattened until 20 draws count, so as not to be too narrow."""
     low, high, least = 0.0, 1.0, min(20.0, len(log) / 2)
-    weights = softmax(log)
-    if effective(weights) < least:
-        for _ in range(40):
-            power = (low + high) / 2
-            enough = effective(softmax(power * log)) > least
-            low, high = (power, high) if enough else (low, power)
-        weights = softmax(low * log)
-    return weights, effective(weights)
-
-
-_MEASURED_BY = {
-    "law of the twin": "calibrate in the fluid (sim2real calibrate --fluid)",
-    "latency": "record steps through the robot's own link, on several days",
-    "density": "weigh the links",
-    "water": "record further swims in the pool and calibrate with them",
-    "effects of the body": "record the swim that sim2real diagnose suggests",
-}
+    if effective(softmax(log)) >= least:
+        return np.asarray(softmax(log))
+    for _ in range(40):
+        power = (low + high) / 2
+        enough = effective(softmax(power * log)) > least
+        low, high = (power, high) if enough else (low, power)
+    return np.asarray(softmax(low * log))
 
 
 @dataclass(frozen=True)
@@ -183,16 +175,17 @@ class Measurement:
 def group_of(parameter: str, joints: Sequence[str]) -> tuple[str, str]:
     """What a parameter of a reality belongs to, and what measures it."""
     head, _, tail = parameter.partition(".")
-    if head in joints and tail != "latency_s":
+    if parameter in DEVIATIONS:
+        return "law of the twin", "calibrate in the fluid (sim2real calibrate --fluid)"
+    if head in joints and tail == "latency_s":
+        return "latency", "record steps through the robot's own link, on several days"
+    if head in joints:
         return f"servo {head}", f"record {head} on the bench, as sim2real design suggests"
-    kind = (
-        "law of the twin" if parameter in DEVIATIONS
-        else "latency" if head in joints
-        else "density" if parameter.startswith("body.normalised_density")
-        else "water" if head == "twin"
-        else "effects of the body"
-    )  # fmt: skip
-    return kind, _MEASURED_BY[kind]
+    if parameter.startswith("body.normalised_density"):
+        return "density", "weigh the links"
+    if head == "twin":
+        return "water", "record further swims in the pool and calibrate with them"
+    return "effects of the body", "record the swim that sim2real diagnose suggests"
 
 
 def first_order(parameters: Array, outcome: Array, groups: Sequence[str]) -> dict[str, float]:
@@ -247,12 +240,9 @@ def shares_of(
 
 
 def ranked(
-    names: Sequence[str],
-    parameters: Array,
-    figures: Mapping[str, Array],
-    weights: Array,
+    names: Sequence[str], parameters: Array, figures: Mapping[str, Array], weights: Array,
     joints: Sequence[str],
-) -> list[Measurement]:
+) -> list[Measurement]:  # fmt: skip
     """Measurements that narrow most first, by parameters (N, P) and a policy's figures (N, T)."""
     kinds = [group_of(name, joints) for name in names]
     how = dict(kinds)
@@ -315,12 +305,9 @@ class TrainingRange:
 
 
 def training_ranges(
-    names: Sequence[str],
-    parameters: Array,
-    values: Array,
-    weights: Array,
+    names: Sequence[str], parameters: Array, values: Array, weights: Array,
     trained: Mapping[str, Sequence[float]] | None,
-) -> list[TrainingRange]:
+) -> list[TrainingRange]:  # fmt: skip
     """Ranges of the next training: parameters with at least 1 % of the variance, most first.
 
     ``values`` are of the figure that policies are ranked by, shape (N, T), ``trained`` quantiles of

@@ -2,7 +2,9 @@
 
 Haarnoja et al., "Soft Actor-Critic Algorithms and Applications" (arXiv 1812.05905). With the
 settings ``PLAIN`` it equals Stable-Baselines3 up to rounding, whose models hold the parameters.
-A agents, B batch, N memory, O observation, J action.
+Networks of all agents share tensors and have explicit forward and backward passes: PyTorch's
+autograd runs a few hundred small kernels for one update, this about a hundred for any number of
+agents. A agents, B batch, C networks, N memory, O observation, J action.
 """
 
 from __future__ import annotations
@@ -16,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor, nn
 
-from rl.sac.batched import Activations, Layers, adam, mirrored
 from rl.sac.plan import Settings
 
 if TYPE_CHECKING:
@@ -24,6 +25,111 @@ if TYPE_CHECKING:
 
 _SMALL = 1e-6
 _LOG_STD = (-20.0, 2.0)
+
+
+@dataclass(frozen=True)
+class Activations:
+    """Results of a forward pass that the backward pass needs."""
+
+    layers: list[Tensor]  # input, hidden layers and output, each (C, B, width)
+    # for each normalised hidden layer: input of the normalization, mean, 1 / deviation
+    sums: list[tuple[Tensor, Tensor, Tensor]]
+
+    @property
+    def output(self) -> Tensor:
+        """Shape (C, B, width)."""
+        return self.layers[-1]
+
+    def first(self, B: int) -> Activations:
+        """The first rows of the batch."""
+        sums = [(a[:, :B], b[:, :B], c[:, :B]) for a, b, c in self.sums]
+        return Activations([layer[:, :B] for layer in self.layers], sums)
+
+
+class Parameters:
+    """Parameters in one vector, with their gradient and Adam's moments."""
+
+    def __init__(self, size: int, device: torch.device) -> None:
+        self.flat, self.gradient = torch.zeros(2, size, device=device).unbind(0)
+        self.moments = torch.zeros(2, size, device=device)  # first and second
+        self.count = torch.zeros(1, device=device)  # of updates
+
+    def descend(self, rate: Tensor) -> None:
+        """One step of Adam (Kingma and Ba, 2015, Algorithm 1)."""
+        self.count += 1
+        first, second = self.moments
+        torch._fused_adam_(  # noqa: SLF001 - what torch.optim.Adam(fused=True) calls
+            [self.flat], [self.gradient], [first], [second], [], [self.count], lr=rate, beta1=0.9,
+            beta2=0.999, weight_decay=0.0, eps=1e-8, amsgrad=False, maximize=False,
+        )  # fmt: skip
+
+
+class Layers(Parameters):
+    """C multilayer perceptrons (ReLU) of one shape.
+
+    ``sizes`` are the widths of all layers. With ``norm`` hidden layers are normalised before the
+    ReLU, without gain and bias (Ba, Kiros, Hinton, "Layer normalization", arXiv 1607.06450).
+    """
+
+    def __init__(
+        self, C: int, sizes: Sequence[int], device: torch.device, *, norm: bool = False
+    ) -> None:
+        pairs = list(zip(sizes[:-1], sizes[1:], strict=True))
+        super().__init__(sum(C * (a + 1) * b for a, b in pairs), device)
+        self.norm = norm
+        sizes_of_parts = [size for a, b in pairs for size in (C * a * b, C * b)]
+
+        def views(vector: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+            """Weights (C, out, in) and biases (C, 1, out) of each layer, as parts of a vector."""
+            parts = vector.split_with_sizes(sizes_of_parts)
+            weights = [part.view(C, b, a) for part, (a, b) in zip(parts[::2], pairs, strict=True)]
+            return weights, [part.view(C, 1, -1) for part in parts[1::2]]
+
+        self.weights, self.biases = views(self.flat)
+        self._weight_gradients, self._bias_gradients = views(self.gradient)
+
+    def forward(self, x: Tensor) -> Activations:
+        """Forward pass from inputs of shape (C, B, width)."""
+        activations = Activations([x], [])
+        last = len(self.weights) - 1
+        for k, (W, b) in enumerate(zip(self.weights, self.biases, strict=True)):
+            x = activations.layers[-1]
+            if W.shape[1] == 1:  # faster on a CPU than a product with one column
+                h = torch.bmm(W, x.transpose(1, 2)).transpose(1, 2) + b
+            else:
+                h = torch.baddbmm(b, x, W.transpose(1, 2))
+            if self.norm and k < last:
+                unnormalised = h
+                h, mean, scale = torch.native_layer_norm(h, h.shape[2:], None, None, 1e-5)
+                activations.sums.append((unnormalised, mean, scale))
+            activations.layers.append(h if k == last else torch.relu_(h))
+        return activations
+
+    def backward(self, activations: Activations, d: Tensor, *, inputs_only: bool = False) -> Tensor:
+        """Gradient of the input from that of the output, (C, B, width); sets ``gradient`` too."""
+        for k in range(len(self.weights) - 1, -1, -1):
+            if not inputs_only:
+                torch.bmm(d.transpose(1, 2), activations.layers[k], out=self._weight_gradients[k])
+                torch.sum(d, dim=1, keepdim=True, out=self._bias_gradients[k])
+            if k == 0 and not inputs_only:
+                return d
+            W = self.weights[k]
+            d = d * W if W.shape[1] == 1 else torch.bmm(d, W)
+            if k > 0:
+                torch.ops.aten.threshold_backward.grad_input(  # in place
+                    d, activations.layers[k], 0.0, grad_input=d
+                )
+                if self.norm:
+                    unnormalised, mean, scale = activations.sums[k - 1]
+                    d = torch.ops.aten.native_layer_norm_backward(
+                        d, unnormalised, d.shape[2:], mean, scale, None, None, [True, False, False]
+                    )[0]
+        return d
+
+
+def mirrored(odd: Sequence[float], J: int, device: torch.device) -> Tensor:
+    """1 for each column of a transition that changes sign under mirroring; see ``View.odd``."""
+    return torch.tensor([*odd, *[1.0] * J, 0.0, 0.0, *odd, 0.0], device=device)
 
 
 @dataclass(frozen=True)
@@ -52,16 +158,12 @@ class Agents:
         sizes, norm = (extra + self.O + self.J, *hidden, 1), settings.norm
         self.critic = Layers(2 * A, sizes, device, norm=norm)
         self.target = Layers(2 * A, sizes, device, norm=norm)
-        self.log_alpha = torch.zeros(A, device=device)
-        self._alpha_gradient = torch.zeros(A, device=device)
-        self._alpha_moments = torch.zeros(2, A, device=device)
-        self._alpha_count = torch.zeros(1, device=device)
+        self.log_alpha = Parameters(A, device)
         for a, model in enumerate(self.models):
             self._share(a, model)
         self.average = self.actor.flat.clone() if settings.average else self.actor.flat
-        self.price = torch.zeros(
-            A, 1, device=device
-        )  # of energy, present, also for old transitions
+        # of energy, present, also for old transitions
+        self.price = torch.zeros(A, 1, device=device)
         self._rate = torch.tensor(settings.rate, device=device)
         self._entropy = torch.full((A,), self.J * settings.entropy_target[0], device=device)
         # observation, action, reward without energy, energy, next observation, whether terminated
@@ -96,8 +198,8 @@ class Agents:
                 for k, module in enumerate(linear):
                     tie(module, layers, k, 2 * a + i, all_rows)
         log_alpha: Any = model.log_ent_coef
-        self.log_alpha[a : a + 1].copy_(log_alpha.data)
-        log_alpha.data = self.log_alpha[a : a + 1]
+        self.log_alpha.flat[a : a + 1].copy_(log_alpha.data)
+        log_alpha.data = self.log_alpha.flat[a : a + 1]
 
     @torch.no_grad()
     def act(self, observation: Tensor, noise: Tensor | None = None) -> Tensor:
@@ -115,21 +217,15 @@ class Agents:
         return self._policy(observation, noise)[1]
 
     def remember(
-        self,
-        observation: Tensor,
-        action: Tensor,
-        gain: Tensor,
-        effort: Tensor,
-        following: Tensor,
-        done: Tensor,
-    ) -> None:
+        self, observation: Tensor, action: Tensor, gain: Tensor, effort: Tensor,
+        following: Tensor, done: Tensor,
+    ) -> None:  # fmt: skip
         """Store n transitions of each agent, arrays of shape (A, n, ...)."""
         n, N = observation.shape[1], self.settings.memory
         rewards = torch.stack([gain, effort], dim=2)
         parts = [observation, action, rewards, following, done[..., None].float()]
-        rows, fits = torch.cat(parts, dim=2), N - self.position
-        self.memory[:, self.position : self.position + n] = rows[:, :fits]
-        self.memory[:, : max(n - fits, 0)] = rows[:, fits:]
+        places = (self.position + torch.arange(n, device=self.device)) % N
+        self.memory[:, places] = torch.cat(parts, dim=2)
         self.position = (self.position + n) % N
         self.set_filled(min(self.filled + n, N))
 
@@ -197,8 +293,8 @@ class Agents:
         activations = activations.first(B)
         action, next_action = actions[:, :B], actions[:, B:]
         log_p = log_ps[:, :B]
-        alpha = self.log_alpha.exp()[:, None]
-        torch.neg(self._entropy + log_p.mean(dim=1), out=self._alpha_gradient)
+        alpha = self.log_alpha.flat.exp()[:, None]
+        torch.neg(self._entropy + log_p.mean(dim=1), out=self.log_alpha.gradient)
 
         _, next_q = self._values(self.target, batch.following, next_action)
         value = next_q.amin(dim=1) - alpha * log_ps[:, B:]
@@ -220,8 +316,7 @@ class Agents:
         by_log_std = (by_mean * (normal * std)[:, :B] - weight) * unclamped
         self.actor.backward(activations, torch.cat([by_mean, by_log_std], dim=2))
         self.actor.descend(self._rate)
-        moments, count = self._alpha_moments, self._alpha_count
-        adam(self.log_alpha, self._alpha_gradient, moments, count, self._rate)
+        self.log_alpha.descend(self._rate)
         self.target.flat.lerp_(self.critic.flat, s.tau)
         if s.average:
             # weight of update t proportional to t^(1 / average - 1), normalised by the sum so far
@@ -231,7 +326,7 @@ class Agents:
     def losses(self) -> Tensor:
         """Losses of actor and critic on a new batch, and entropy coefficient, shape (3, A)."""
         shape, batch = (len(self.models), self.settings.batch, self.J), self._sample()
-        alpha = self.log_alpha.exp()[:, None]
+        alpha = self.log_alpha.flat.exp()[:, None]
 
         def drawn(observation: Tensor, critic: Layers) -> tuple[Tensor, Tensor]:
             noise = torch.randn(shape, device=self.device)
@@ -284,10 +379,8 @@ class Agents:
 
     def state(self) -> dict[str, Tensor]:
         """All tensors that an update changes, by name; not copies."""
-        out = {"log_alpha": self.log_alpha, "alpha_moments": self._alpha_moments}
-        out |= {"alpha_count": self._alpha_count, "average": self.average}
-        for name in ("actor", "critic", "target"):
-            layers: Layers = getattr(self, name)
-            out |= {name: layers.flat, f"{name}_moments": layers.moments}
-            out[f"{name}_count"] = layers.count
-        return out
+        networks = {"actor": self.actor, "critic": self.critic, "target": self.target}
+        out = {"log_alpha": self.log_alpha.flat, "average": self.average}
+        for name, one in {"alpha": self.log_alpha, **networks}.items():
+            out |= {f"{name}_moments": one.moments, f"{name}_count": one.count}
+        return out | {name: one.flat for name, one in networks.items()}

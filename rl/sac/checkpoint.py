@@ -18,7 +18,6 @@ from rl.sac.plan import Plan
 from sim2real.arrays import Array
 from sim2real.errors import InputError, library
 from sim2real.output import write_whole
-from sim2real.report.drawing import save_png
 from sim2real.report.style import ACCENT, FAINT, INK, house_style, new_figure
 from sim2real.structured import read_arrays, reason
 
@@ -62,10 +61,10 @@ class Progress:
 
 
 class TensorBoard:
-    """A report of rows of progress, as ``train_run`` takes it, that TensorBoard shows live."""
+    """A report for ``train_run`` that writes rows of progress to ``folder/NAME`` as they come."""
 
     def __init__(self, folder: Path) -> None:
-        """Write each agent's events to ``folder/NAME``; MissingLibrary without TensorBoard."""
+        """MissingLibrary without TensorBoard."""
         library("tensorboard", "--tensorboard")
         self._folder, self._writers = folder, dict[str, Any]()
 
@@ -135,7 +134,13 @@ def load(folder: Path, agents: Agents) -> Progress | None:
             array = arrays[name]
             if array.shape != shape or array.dtype != np.float32 or not np.isfinite(array).all():
                 raise ValueError(f"{name} is no finite array of float32 of the shape {shape}")
-        progress = _progress(arrays["progress"].tobytes(), len(memory), steps)
+        progress = Progress(len(memory), steps)
+        progress.rows, progress.grown, progress.success = json.loads(arrays["progress"].tobytes())
+        table = np.array(progress.rows, dtype=np.float64)
+        shares = np.array([progress.grown, progress.success], dtype=np.float64)
+        agents_and_columns = (*table.shape[:1], *table.shape[2:], *shares.shape)
+        if agents_and_columns != (len(memory), len(COLUMNS), 2, len(memory)):
+            raise ValueError("progress of other agents")
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise InputError(path, "", f"a damaged one ({reason(error)})", expected) from None
     for name, tensor in state.items():
@@ -143,17 +148,6 @@ def load(folder: Path, agents: Agents) -> Progress | None:
     memory[:, :filled] = torch.from_numpy(arrays["memory"]).to(agents.device)
     agents.position = position if filled == memory.shape[1] else filled  # it may have grown
     agents.set_filled(filled)
-    return progress
-
-
-def _progress(content: bytes, A: int, steps: int) -> Progress:
-    """Progress of A agents, as ``save`` writes it; ``ValueError`` if it is anything else."""
-    progress = Progress(A, steps)
-    progress.rows, progress.grown, progress.success = json.loads(content)
-    table = np.array(progress.rows, dtype=np.float64)
-    shares = np.array([progress.grown, progress.success], dtype=np.float64)
-    if (*table.shape[:1], *table.shape[2:]) != (A, len(COLUMNS)) or shares.shape != (2, A):
-        raise ValueError("progress of other agents")
     return progress
 
 
@@ -167,13 +161,12 @@ def _curve(progress: Mapping[str, Array]) -> Array:
     """Steps, mean return and success of the last 64 episodes, in each row that had one, (3, n)."""
     ended = np.flatnonzero(progress["episodes"] > 0)
     weight = progress["episodes"][ended]
-    table = np.array(
-        [progress["mean_return"][ended], progress["success"][ended], np.ones(len(ended))]
-    )
+    means = [progress[name][ended] for name in ("mean_return", "success")]
+    table = np.array([*means, np.ones(len(ended))])
     sums = np.cumsum(np.hstack([np.zeros((3, 1)), table * weight]), axis=1)
     first = np.searchsorted(sums[2], sums[2, 1:] - 64, side="right") - 1  # of 64 or a few more
-    means = sums[:, 1:] - sums[:, first.clip(min=0)]
-    return np.vstack([progress["steps"][ended], means[:2] / means[2]])
+    recent = sums[:, 1:] - sums[:, first.clip(min=0)]
+    return np.vstack([progress["steps"][ended], recent[:2] / recent[2]])
 
 
 def _mean_curve(curves: Sequence[Array]) -> tuple[Array, Array]:
@@ -185,11 +178,6 @@ def _mean_curve(curves: Sequence[Array]) -> tuple[Array, Array]:
     steps = np.linspace(start, max(start, end), 100)
     table = np.array([[steps, *(np.interp(steps, c[0], c[n]) for n in (1, 2))] for c in curves])
     return table.mean(axis=0), table.std(axis=0)
-
-
-def draw_curves(agents: Mapping[str, Sequence[Path]], path: Path) -> None:
-    """Write ``curves_figure`` as a PNG file."""
-    save_png(curves_figure(agents), path)
 
 
 def curves_figure(agents: Mapping[str, Sequence[Path]]) -> Figure:

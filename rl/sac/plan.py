@@ -174,9 +174,10 @@ VIEWS = {"default": View(), "paper": PAPER}
 
 def plan_of(options: Mapping[str, Any], **fields: Any) -> Plan:  # noqa: ANN401 - fields of Plan
     """A plan from some of ``OPTIONS`` and fields; what is missing or None is as in the recipe."""
-    chosen = {name: options.get(name) for name in OPTIONS}
-    given: dict[str, Any] = {
-        name: value for name, value in chosen.items() if value is not None and value is not False
+    given = {
+        name: value
+        for name in OPTIONS
+        if (value := options.get(name)) is not None and value is not False
     }
     recipe = given.get("recipe", "default")
     check_choice("train", "--recipe", recipe, RECIPES)

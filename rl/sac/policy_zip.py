@@ -2,7 +2,7 @@
 
 Members are ``data`` (settings, JSON), ``policy.pth`` and ``pytorch_variables.pth`` (tensors by
 name). Stable-Baselines3 pickles objects into ``data``, which are never unpickled: settings are
-taken from the text beside them, and arrays of joint angles are found by their bytes.
+taken from the text beside them, and arrays of joint angles are the bytes in the pickles' code.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import json
 import os
+import pickletools
 import re
 import zipfile
 from collections.abc import Mapping
@@ -22,14 +23,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from sim2real.arrays import Array32
+from rl.deploy.policy import LARGEST_BYTES
 from sim2real.errors import InputError, shown
 from sim2real.output import finite_json, write_whole
 from sim2real.structured import Fields, read_members, reason
 
 SCHEMA = "sim2real.policy_zip/1"
-LARGEST_BYTES = 64 * 2**20
-"""Largest unpacked file; a policy of four layers of 256 has 8 MB with its critics."""
 _MEMBERS = re.compile(
     r"data|policy\.pth|(pytorch_variables|tensors)\.pth|([a-z_]+[._])?optimizer\.pth"
     r"|_stable_baselines3_version|system_info\.txt"
@@ -46,29 +45,15 @@ _HARMLESS = {
 }  # fmt: skip
 """Options of Stable-Baselines3's policies that the weights show or that a saved policy ignores."""
 _RELU = "torch.nn.modules.activation.ReLU"
-_FOUND_BYTES = re.compile(
-    rb"\x8c.numpy\._?core\.numeric\x94\x8c\x0b_frombuffer\x94\x93\x94\(\x96(.{8})", re.DOTALL
-)
-_FLOAT32 = (
-    b"\x94\x8c\x05numpy\x94\x8c\x05dtype\x94\x93\x94"
-    b"\x8c\x02f4\x94\x89\x88\x87\x94R\x94(K\x03\x8c\x01<"
-)
-"""What stands before and after the numbers of an array of float32 that NumPy wrote."""
 
 
 @dataclass(frozen=True)
 class PolicyZip:
     """The content of a file."""
 
-    path: Path  # the file
-    settings: Mapping[str, Any]  # JSON values by name
+    settings: Fields  # JSON values by name
     weights: Mapping[str, Tensor]  # tensors of the networks by name, finite and of float32
     variables: Mapping[str, Tensor]  # further tensors by name, likewise
-
-    def array(self, name: str, size: int) -> Array32:
-        """A setting as an array of finite numbers, shape (size,); ``InputError`` if it is none."""
-        numbers = Fields(self.path, "", self.settings).numbers(name, f"{size} finite numbers", size)
-        return np.array(numbers, dtype=np.float32)
 
     def widths(self, layers: str, output: str | None = None) -> list[int]:
         """Number of inputs of a network, then of outputs of each of its linear layers."""
@@ -78,13 +63,8 @@ class PolicyZip:
         shapes = [tuple(self.weights[name].shape) for name in names if name in self.weights]
         if not shapes or any(len(shape) != 2 for shape in shapes):
             found_shapes = f"weights of the shapes {shapes}" if shapes else "no weights"
-            raise InputError(self.path, layers, found_shapes, "a fully connected network")
+            raise InputError(self.settings.file, layers, found_shapes, "a fully connected network")
         return [shapes[0][1], *(shape[0] for shape in shapes)]
-
-    def check(self, *, holds: bool, name: str, expected: str) -> None:
-        """Raise ``InputError`` unless a setting holds."""
-        if not holds:
-            raise InputError(self.path, name, shown(self.settings.get(name)), expected)
 
 
 def load_weights(
@@ -108,8 +88,7 @@ def write_policy_zip(
     variables: Mapping[str, Tensor],
 ) -> None:
     """Write ``policy.zip`` atomically; see ``PolicyZip``."""
-    plain = finite_json(_plain({"schema": SCHEMA, **settings}))
-    content = json.dumps(plain, indent=2, allow_nan=False)
+    content = json.dumps(finite_json({"schema": SCHEMA, **settings}), indent=2, allow_nan=False)
     archive = BytesIO()
     with zipfile.ZipFile(archive, "w") as file:
         for name, data in (
@@ -121,13 +100,6 @@ def write_policy_zip(
             entry.create_system, entry.external_attr = 3, 0o600 << 16
             file.writestr(entry, data)
     write_whole(path, archive.getvalue())
-
-
-def _plain(value: Any) -> Any:  # noqa: ANN401 - JSON, and arrays
-    """``value`` with lists in place of arrays."""
-    if isinstance(value, Mapping):
-        return {key: _plain(entry) for key, entry in value.items()}
-    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def _saved(tensors: Mapping[str, Tensor]) -> bytes:
@@ -148,7 +120,7 @@ def read_policy_zip(path: str | os.PathLike[str], algorithm: str) -> PolicyZip:
         _tensors(file, name, members[name]) if name in members else {}
         for name in ("policy.pth", "pytorch_variables.pth")
     ]
-    return PolicyZip(file, settings, *tensors)
+    return PolicyZip(Fields(file, "", settings), *tensors)
 
 
 def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -243,16 +215,14 @@ def _printed(text: object) -> list[float] | None:
 
 
 def _bytes(value: object) -> list[float] | None:
-    """The numbers of the array of float32 in a pickled value, which is not unpickled."""
+    """The numbers of the first array of float32 in a pickled value, which is not unpickled."""
     try:
         content = base64.b64decode(_object(value).get(":serialized:", ""), validate=True)
-    except (TypeError, ValueError):
+        operations = [(code.name, given) for code, given, _ in pickletools.genops(content)]
+    except Exception:  # damaged ones raise exceptions of many kinds
         return None
-    found = _FOUND_BYTES.search(content)
-    if found is None:
+    buffers: list[Any] = [given for name, given in operations if name == "BYTEARRAY8"]
+    texts = {given for _, given in operations if isinstance(given, str)}
+    if not buffers or len(buffers[0]) % 4 or not {"_frombuffer", "f4", "<"} <= texts:
         return None
-    end = found.end() + int.from_bytes(found[1], "little")
-    numbers = content[found.end() : end]
-    if len(numbers) % 4 or not content[end:].startswith(_FLOAT32):
-        return None
-    return [float(x) for x in np.frombuffer(numbers, "<f4")]
+    return [float(x) for x in np.frombuffer(buffers[0], "<f4")]

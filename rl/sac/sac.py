@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,29 +19,23 @@ from rl.deploy.policy import is_spread
 from rl.env import action_space, observation_space
 from rl.observer import PAPER, View
 from rl.sac.plan import Settings
-from rl.sac.policy_zip import PolicyZip, load_weights, read_policy_zip, write_policy_zip
+from rl.sac.policy_zip import load_weights, read_policy_zip, write_policy_zip
 from rl.world import World
 from sim2real.arrays import Array32
 from sim2real.errors import InputError
-from sim2real.structured import finite_number
+from sim2real.structured import Fields
 
 
 class NormedPolicy(SACPolicy):
-    """SAC policy with layer normalization in the critics, as in ``batched.Layers``."""
+    """SAC policy with layer normalization in the critics, as in ``agents.Layers``."""
 
     def make_critic(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - its own
         """A critic whose hidden layers are normalised before the ReLU."""
         critic: Any = super().make_critic(*args, **kwargs)
-        for i, original in enumerate(critic.q_networks):
-            modules: list[nn.Module] = []
-            for module in original:
-                if isinstance(module, nn.ReLU):
-                    previous: Any = modules[-1]
-                    modules.append(nn.LayerNorm(previous.out_features, elementwise_affine=False))
-                modules.append(module)
-            network = nn.Sequential(*modules).to(self.device)
-            critic.q_networks[i] = network
-            setattr(critic, f"qf{i}", network)
+        for network in critic.q_networks:
+            for k in [k for k, module in enumerate(network) if isinstance(module, nn.ReLU)][::-1]:
+                width = network[k - 1].out_features
+                network.insert(k, nn.LayerNorm(width, elementwise_affine=False))
         return critic
 
 
@@ -63,8 +56,6 @@ class SwimSAC(SAC):
         settings |= {"action_low": box.low, "action_high": box.high}
         stated = ("joint_low", "joint_high", "joints", "trained_over", "view", "by_price")
         settings |= {name: getattr(self, name) for name in stated if hasattr(self, name)}
-        if "view" in settings:
-            settings["view"] = asdict(self.view)
         learned: Any = self.log_ent_coef
         variables = {} if learned is None else {"log_ent_coef": learned}
         write_policy_zip(path, self.policy, settings, variables)
@@ -78,13 +69,7 @@ class Spaces(gymnasium.Env[Any, Any]):
         self.action_space: Any = action
 
 
-def make_sac(
-    world: World,
-    settings: Settings,
-    seed: int,
-    *,
-    view: View = View(),  # noqa: B008 - frozen
-) -> SwimSAC:
+def make_sac(world: World, settings: Settings, seed: int, *, view: View) -> SwimSAC:
     """An untrained model for the robots of a world, observed through ``view``."""
     model = SwimSAC(
         NormedPolicy if settings.norm else "MlpPolicy",
@@ -111,8 +96,9 @@ def read_agent(path: str | os.PathLike[str]) -> SwimSAC:
     inputs, *actor, J = saved.widths("actor.latent_pi", "actor.mu")
     _, *critic, _ = saved.widths("critic.qf0")
     critics = sum(bool(re.fullmatch(r"critic\.qf\d+\.0\.weight", name)) for name in saved.weights)
-    low, high = saved.array("action_low", J), saved.array("action_high", J)
-    saved.check(holds=bool((low < high).all()), name="action_low", expected="less than action_high")
+    low, high = (_array(saved.settings, f"action_{end}", J) for end in ("low", "high"))
+    if not (low < high).all():
+        raise saved.settings.error("action_low", "less than action_high")
     observations = spaces.Box(-np.inf, np.inf, (inputs,), dtype=np.float32)
     agent = SwimSAC(
         NormedPolicy if "critic.qf0.3.weight" in saved.weights else "MlpPolicy",
@@ -128,46 +114,47 @@ def read_agent(path: str | os.PathLike[str]) -> SwimSAC:
         coefficient.data.copy_(learned)
     else:
         agent.log_ent_coef = None
-    _set_attributes(agent, saved, J, first=(actor or [J])[0])
+    _set_attributes(agent, saved.settings, J, first=(actor or [J])[0])
     return agent
 
 
-def _set_attributes(agent: SwimSAC, saved: PolicyZip, J: int, first: int) -> None:
+def _array(settings: Fields, name: str, size: int) -> Array32:
+    return np.array(settings.numbers(name, f"{size} finite numbers", size), dtype=np.float32)
+
+
+def _set_attributes(agent: SwimSAC, settings: Fields, J: int, first: int) -> None:
     """Check and set the attributes of an agent with J joints and a first layer of some width."""
-    settings = saved.settings
-    agent.num_timesteps = steps = settings.get("num_timesteps", 0)
-    saved.check(holds=type(steps) is int, name="num_timesteps", expected="a whole number")
+    content = settings.content
+    agent.num_timesteps = content.get("num_timesteps", 0)
+    if type(agent.num_timesteps) is not int:
+        raise settings.error("num_timesteps", "a whole number")
     if "view" in settings:
         try:
-            agent.view = View.from_content(settings["view"])
+            agent.view = View.from_content(content["view"])
         except ValueError:
-            saved.check(holds=False, name="view", expected="period, ramp, memory, scaled, sides")
+            raise settings.error("view", "period, ramp, memory, scaled, sides") from None
     if "joints" in settings:
-        agent.joints = joints = settings["joints"]
+        agent.joints = joints = content["joints"]
         named = isinstance(joints, list) and all(isinstance(name, str) for name in joints)
-        saved.check(holds=named and len(joints) == J, name="joints", expected=f"{J} names")
-        agent.joint_low, agent.joint_high = (saved.array(f"joint_{k}", J) for k in ("low", "high"))
+        if not named or len(joints) != J:
+            raise settings.error("joints", f"{J} names")
+        agent.joint_low, agent.joint_high = (
+            _array(settings, f"joint_{end}", J) for end in ("low", "high")
+        )
     if "trained_over" in settings:
-        agent.trained_over = spread = settings["trained_over"]
-        expected = "two numbers by parameter"
-        saved.check(holds=is_spread(spread), name="trained_over", expected=expected)
+        agent.trained_over = content["trained_over"]
+        if not is_spread(agent.trained_over):
+            raise settings.error("trained_over", "two numbers by parameter")
     if "by_price" in settings:
-        agent.by_price = _by_price(saved, first)
-
-
-def _by_price(saved: PolicyZip, first: int) -> dict[str, Any]:
-    """Effect of the price of energy on a first layer of some width."""
-    content = saved.settings["by_price"]
-    saved.check(holds=isinstance(content, dict), name="by_price", expected="prices, column, share")
-    prices, share = (finite_number(content.get(name)) for name in ("prices", "share"))
-    fits = prices is not None and share is not None and prices >= 1 and abs(share) <= 1.001
-    saved.check(holds=fits, name="by_price", expected="prices of at least 1, a share from -1 to 1")
-    column = content.get("column")
-    if column is None:
-        saved.check(holds=prices == 1, name="by_price", expected="a column for its prices")
-    else:
-        column = replace(saved, settings=content).array("column", first)
-    return {"prices": prices, "column": column, "share": share}
+        price, column = settings.table("by_price"), None
+        prices, share = price.number("prices", low=1), price.number("share", low=-1.001)
+        if share > 1.001:
+            raise price.error("share", "a number from -1 to 1")
+        if price.content.get("column") is not None:
+            column = _array(price, "column", first)
+        elif prices > 1:
+            raise price.error("column", "numbers, for its prices")
+        agent.by_price = {"prices": prices, "column": column, "share": share}
 
 
 def start_from(model: SwimSAC, path: Path) -> None:

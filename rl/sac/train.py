@@ -7,7 +7,6 @@ resumes exactly from its last checkpoint.
 
 from __future__ import annotations
 
-import hashlib
 import math
 import multiprocessing
 import os
@@ -26,49 +25,36 @@ from torch import Tensor
 from tqdm import tqdm
 
 from rl.make import Fidelity, digest, episodes_of, make_world, own_stream, spread_of
+from rl.sac import plan as plans
 from rl.sac.agents import Agents
 from rl.sac.checkpoint import COLUMNS, Progress, load, save, save_policies
 from rl.sac.plan import OPTIONS, Arm, Plan, plan_of
-from rl.sac.plan import QUICK as SMALL
 from rl.sac.sac import make_sac, read_agent, start_from
 from rl.world import Decisions, Draws, Step
 from sim2real.errors import InputError
-from sim2real.output import provenance, write_json
+from sim2real.output import provenance, sha256_of, write_json
 from sim2real.robot import Robot
 from sim2real.structured import finite_number, read_json
 
-__all__ = ["QUICK", "agent_names", "digest_of", "train", "train_in_parts", "train_run"]
-
-QUICK: dict[str, Any] = {"task": "near", "energy_weight": 2e-4, **SMALL}
+QUICK: dict[str, Any] = {"task": "near", "energy_weight": 2e-4, **plans.QUICK}
 """Settings of ``train --quick``. At the weight of the default recipe some seeds swim so sparingly
 that they reach few near targets within the time limit of 10 s."""
 ACCEPTED = (*OPTIONS, "first")
 """Options of the command ``train`` that ``train_run`` accepts."""
-_ROW = 1000
-"""Most decisions of an agent in a row of statistics."""
 Report = Callable[[str, dict[str, float]], None]
 """What is called while agents learn: with an agent's name and its newest row of progress."""
 
 
 def train_run(
-    folder: Path,
-    *,
-    robot: str,
-    model: str,
-    ranges: str | None = None,
-    seeds: Sequence[int] = (0,),
-    first: Sequence[str] = (),
-    fidelity: Fidelity = "twin",
-    device: str = "cpu",
-    cell_m: float = 0.02,
-    threads: int = 1,
-    report: Report | None = None,
+    folder: Path, *, robot: str, model: str, ranges: str | None = None,
+    seeds: Sequence[int] = (0,), first: Sequence[str] = (), fidelity: Fidelity = "twin",
+    device: str = "cpu", cell_m: float = 0.02, threads: int = 1, report: Report | None = None,
     **options: Any,  # noqa: ANN401
-) -> list[Path]:
+) -> list[Path]:  # fmt: skip
     """Train one arm from files and JSON ``options`` of ``plan_of``; the folders of the agents.
 
-    ``report`` is called with an agent's name and every new row of its progress, by column; with
-    several seeds on a CPU, which are trained in several processes, it must be a picklable function.
+    With several seeds on a CPU, which are trained in several processes, ``report`` must be a
+    picklable function.
     """
     plan = plan_of(
         options, seeds=tuple(seeds), fidelity=fidelity, device=device, cell_m=cell_m,
@@ -81,15 +67,10 @@ def train_run(
 
 
 def train(
-    folder: Path,
-    robot: Robot,
-    arms: Sequence[Arm],
-    plan: Plan,
-    note: dict[str, Any] | None = None,
-    *,
-    first: Sequence[Path] = (),
+    folder: Path, robot: Robot, arms: Sequence[Arm], plan: Plan,
+    note: dict[str, Any] | None = None, *, first: Sequence[Path] = (),
     report: Report | None = None,
-) -> list[Path]:
+) -> list[Path]:  # fmt: skip
     """Train an agent for each arm and seed, all in one batch of robots.
 
     The folder gets ``run.json`` with ``note``, the provenance, ``checkpoint.npz`` and, for each
@@ -102,26 +83,21 @@ def train(
     names = agent_names(arms, plan.seeds)
     digests = [digest_of(arm.draws) for arm in arms]
     content = {"plan": plan.content(), "agents": names, "draws": digests}
+    for path in first:
+        read_agent(path)  # refused, if at all, before anything is written
     if first:
-        for path in first:
-            read_agent(path)  # refused, if at all, before anything is written
-        content["first"] = [hashlib.sha256(path.read_bytes()).hexdigest() for path in first]
+        content["first"] = [sha256_of(path) for path in first]
     check_run(folder, content, note or {})
     with own_stream(plan.device):
-        _train(folder, robot, arms, plan, names, first, report)
+        Training(folder, robot, arms, plan, first, report).run()
     return [folder / name for name in names]
 
 
 def train_in_parts(
-    folder: Path,
-    robot: Robot,
-    arms: Sequence[Arm],
-    plan: Plan,
-    note: dict[str, Any] | None = None,
-    *,
-    first: Sequence[Path] = (),
+    folder: Path, robot: Robot, arms: Sequence[Arm], plan: Plan,
+    note: dict[str, Any] | None = None, *, first: Sequence[Path] = (),
     report: Report | None = None,
-) -> list[Path]:
+) -> list[Path]:  # fmt: skip
     """Train as ``train`` does in two processes, with every second seed: ``part-0``, ``part-1``.
 
     With one robot per agent each seed is a part of its own, as batches then save no time.
@@ -176,137 +152,126 @@ def check_run(
     plan, before = content.get("plan"), existing.get("plan")
     if isinstance(plan, dict) and isinstance(before, dict):
         steps = finite_number(before.get("steps"))
-        if (
-            steps is not None
-            and steps < plan["steps"]
-            and {**before, "steps": 0} == {**plan, "steps": 0}
-        ):
+        longer = steps is not None and steps < plan["steps"]
+        if longer and {**before, "steps": 0} == {**plan, "steps": 0}:
             existing["plan"] = plan
     origin = existing.get("provenance")
     found = origin if isinstance(origin, dict) else {}
-    if any(existing.get(k) != content[k] for k in content) or any(
-        found.get(k) != note[k] for k in same
-    ):
+    differs = any(existing.get(k) != content[k] for k in content)
+    if differs or any(found.get(k) != note[k] for k in same):
         expected = "the same options and files, or a new folder"
         raise InputError(folder, "run.json", "another run", expected)
     if plan != before:
         write_json(path, existing)
 
 
-def _train(
-    folder: Path,
-    robot: Robot,
-    arms: Sequence[Arm],
-    plan: Plan,
-    names: Sequence[str],
-    first: Sequence[Path],
-    report: Report | None,
-) -> None:
-    S, A = len(plan.seeds), len(names)
-    if len(first) > S:
-        raise InputError("train", "--first", f"{len(first)} policies", f"{S} at most, one a seed")
-    arm_of_agent = [arm for arm in arms for _ in plan.seeds]
-    world = make_world(
-        robot, plan.task, [arm.draws for arm in arm_of_agent], n_envs=A * plan.envs,
-        fidelity=plan.fidelity, device=plan.device, cell_m=plan.cell_m, threads=plan.threads,
-    )  # fmt: skip
-    decisions = Decisions(world, plan.view)
-    decisions_per_env = -(-plan.steps // plan.view.period)
-    settings = replace(plan.settings, memory=min(plan.settings.memory, decisions_per_env))
-    models = []
-    for a, arm in enumerate(arm_of_agent):
-        models.append(make_sac(world, settings, plan.seeds[a % S], view=plan.view))
-        models[a].trained_over = spread_of(arm.draws.models)
-        if first:
-            start_from(models[a], first[a % S % len(first)])
-    agents = Agents(models, settings, world.device)
-    progress = load(folder, agents) or Progress(A)
-    bar = tqdm(
-        total=plan.steps, initial=progress.steps, desc="train", unit="step", disable=None,
-        smoothing=0.05,
-    )  # fmt: skip
+class Training:
+    """Agents that learn in one world; arguments as of ``train``."""
 
-    def noted() -> None:
+    def __init__(
+        self, folder: Path, robot: Robot, arms: Sequence[Arm], plan: Plan, first: Sequence[Path],
+        report: Report | None,
+    ) -> None:  # fmt: skip
+        self.folder, self.plan, self.report = folder, plan, report
+        self.names = agent_names(arms, plan.seeds)
+        S, A, self.swims = len(plan.seeds), len(self.names), bool(first)
+        if len(first) > S:
+            found = f"{len(first)} policies"
+            raise InputError("train", "--first", found, f"{S} at most, one a seed")
+        arm_of_agent = [arm for arm in arms for _ in plan.seeds]
+        self.world = make_world(
+            robot, plan.task, [arm.draws for arm in arm_of_agent], n_envs=A * plan.envs,
+            fidelity=plan.fidelity, device=plan.device, cell_m=plan.cell_m, threads=plan.threads,
+        )  # fmt: skip
+        self.decisions = Decisions(self.world, plan.view)
+        decisions_per_env = -(-plan.steps // plan.view.period)
+        settings = replace(plan.settings, memory=min(plan.settings.memory, decisions_per_env))
+        models = []
+        for a, arm in enumerate(arm_of_agent):
+            models.append(make_sac(self.world, settings, plan.seeds[a % S], view=plan.view))
+            models[a].trained_over = spread_of(arm.draws.models)
+            if first:
+                start_from(models[a], first[a % S % len(first)])
+        self.agents = Agents(models, settings, self.world.device)
+        self.progress = load(folder, self.agents) or Progress(A)
+        self.bar = tqdm(
+            total=plan.steps, initial=self.progress.steps, desc="train", unit="step", disable=None,
+            smoothing=0.05,
+        )  # fmt: skip
+
+    def run(self) -> None:
+        """Train to the end of the plan, with a checkpoint after every segment."""
+        plan = self.plan
+        # of a single robot in the twin the hand-over to a thread takes longer than the simulation
+        beside = plan.device == "cpu" and (plan.envs > 1 or plan.fidelity == "fluid")
+        quick = torch.inference_mode(plan.device == "cpu")  # less work for each small tensor
+        with self.bar, quick, ThreadPoolExecutor(1) if beside else nullcontext() as pool:
+            while self.progress.steps < plan.steps:
+                self._segment(pool)
+                save(self.folder, self.agents, self.progress, self.names)
+
+    def _segment(self, pool: Executor | None) -> None:
+        """Train until the next checkpoint."""
+        plan, agents, progress, world = self.plan, self.agents, self.progress, self.world
+        A, n, settings, J = len(self.names), plan.envs, plan.settings, len(world.low)
+        end = min(progress.steps + plan.segment, plan.steps)
+        seed = int(np.random.SeedSequence([*plan.seeds, progress.steps]).generate_state(1)[0])
+        world.seed(seed)
+        torch.manual_seed(seed)
+        observed = self.decisions.reset().view(A, n, -1)
+        tally = Tally(A, n, world.device)
+        noise = torch.randn(A, n, J, device=world.device)
+        decay = math.exp(-plan.view.decision_s / settings.noise_s) if settings.noise_s > 0 else 0.0
+        due, batch_steps = 0.0, n * plan.view.period
+        self._set_prices()
+        while progress.steps < end:
+            fresh = torch.randn(noise.shape, device=world.device)
+            noise = decay * noise + (1 - decay * decay) ** 0.5 * fresh
+            if progress.steps < settings.warm_up and not self.swims:
+                action = torch.erf(noise / 2**0.5)  # uniform between -1 and 1
+            else:
+                action = agents.act(observed, noise)
+            if progress.steps >= settings.warm_up and agents.filled:
+                agents.set_schedule(progress.steps / plan.steps, progress.grown)
+                due += settings.updates_per_step * batch_steps
+            decision = action.view(A * n, J)
+            if pool is None:
+                step = self.decisions.step(decision)
+                agents.learn(int(due))
+            else:
+                deciding = pool.submit(torch.inference_mode()(self.decisions.step), decision)
+                agents.learn(int(due))
+                step = deciding.result()
+            due -= int(due)
+            gain = step.reward + world.task.energy * step.effort
+            agents.remember(
+                observed, action, gain.view(A, n), step.effort.view(A, n),
+                step.final.view(A, n, -1), step.terminated.view(A, n),
+            )  # fmt: skip
+            observed = step.observation.view(A, n, -1)
+            tally.add(step, world.task.waypoints)
+            progress.steps += batch_steps
+            self.bar.update(batch_steps)
+            if (tally.steps + 1) * n > 1000 or progress.steps >= end:  # decisions of a row
+                progress.note(tally.take(), agents, plan)
+                self._noted()
+                self._set_prices()
+                self.bar.set_postfix_str(progress.summary())
+
+    def _noted(self) -> None:
         """Report the newest rows; keep the policies at the end of a stage."""
-        if report is not None:
-            for name, rows in zip(names, progress.rows, strict=True):
-                report(name, dict(zip(COLUMNS, rows[-1], strict=True)))
+        progress, plan = self.progress, self.plan
+        if self.report is not None:
+            for name, rows in zip(self.names, progress.rows, strict=True):
+                self.report(name, dict(zip(COLUMNS, rows[-1], strict=True)))
         before = progress.rows[0][-2][0] if len(progress.rows[0]) > 1 else 0
         if any(before < share * plan.steps <= progress.steps for share in plan.kept):
-            save_policies(folder, agents, progress, names, f"policy-{progress.steps}.zip")
+            file = f"policy-{progress.steps}.zip"
+            save_policies(self.folder, self.agents, progress, self.names, file)
 
-    # of a single robot in the twin the hand-over to a thread takes longer than the simulation
-    beside = plan.device == "cpu" and (plan.envs > 1 or plan.fidelity == "fluid")
-    quick = torch.inference_mode(plan.device == "cpu")  # less work for each small tensor
-    with bar, quick, ThreadPoolExecutor(1) if beside else nullcontext() as pool:
-        while progress.steps < plan.steps:
-            _segment(decisions, agents, plan, progress, bar, pool, noted, swims=bool(first))
-            save(folder, agents, progress, names)
-
-
-def _segment(
-    decisions: Decisions,
-    agents: Agents,
-    plan: Plan,
-    progress: Progress,
-    bar: Any,  # noqa: ANN401
-    pool: Executor | None,
-    noted: Callable[[], None],
-    *,
-    swims: bool,
-) -> None:
-    """Train until the next checkpoint; with ``swims`` the first actions are not random.
-
-    ``noted`` is called after every row of statistics.
-    """
-    A, n, settings, world = len(agents.models), plan.envs, plan.settings, decisions.world
-    end, J = min(progress.steps + plan.segment, plan.steps), len(world.low)
-    seed = int(np.random.SeedSequence([*plan.seeds, progress.steps]).generate_state(1)[0])
-    world.seed(seed)
-    torch.manual_seed(seed)
-    observed = decisions.reset().view(A, n, -1)
-    tally = Tally(A, n, world.device)
-    noise = torch.randn(A, n, J, device=world.device)
-    decay = math.exp(-plan.view.decision_s / settings.noise_s) if settings.noise_s > 0 else 0.0
-    due, batch_steps = 0.0, n * plan.view.period
-    _set_price(agents, plan, progress)
-    while progress.steps < end:
-        fresh = torch.randn(noise.shape, device=world.device)
-        noise = decay * noise + (1 - decay * decay) ** 0.5 * fresh
-        if progress.steps < settings.warm_up and not swims:
-            action = torch.erf(noise / 2**0.5)  # uniform between -1 and 1
-        else:
-            action = agents.act(observed, noise)
-        if progress.steps >= settings.warm_up and agents.filled:
-            agents.set_schedule(progress.steps / plan.steps, progress.grown)
-            due += settings.updates_per_step * batch_steps
-        decision = action.view(A * n, J)
-        if pool is None:
-            step = decisions.step(decision)
-            agents.learn(int(due))
-        else:
-            deciding = pool.submit(torch.inference_mode()(decisions.step), decision)
-            agents.learn(int(due))
-            step = deciding.result()
-        due -= int(due)
-        gain = step.reward + world.task.energy * step.effort
-        agents.remember(
-            observed, action, gain.view(A, n), step.effort.view(A, n), step.final.view(A, n, -1),
-            step.terminated.view(A, n),
-        )  # fmt: skip
-        observed = step.observation.view(A, n, -1)
-        tally.add(step, world.task.waypoints)
-        progress.steps += batch_steps
-        bar.update(batch_steps)
-        if (tally.steps + 1) * n > _ROW or progress.steps >= end:
-            progress.note(tally.take(), agents, plan)
-            noted()
-            _set_price(agents, plan, progress)
-            bar.set_postfix_str(progress.summary())
-
-
-def _set_price(agents: Agents, plan: Plan, progress: Progress) -> None:
-    agents.price.copy_(torch.tensor([plan.price(grown) for grown in progress.grown])[:, None])
+    def _set_prices(self) -> None:
+        prices = [self.plan.price(grown) for grown in self.progress.grown]
+        self.agents.price.copy_(torch.tensor(prices)[:, None])
 
 
 class Tally:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rl.experiments.ablation_report import OUTCOME, return_figure
-from rl.experiments.paths import aligned, bars_figure, paths_figure
+from rl.experiments.figures import aligned, bars_figure, paths_figure
 from sim2real.report.diagnosis_plots import bar_figure
 from sim2real.report.drawing import svg
 from sim2real.report.identification import parameter_figure

@@ -82,9 +82,11 @@ def ablated(robot, model):
         arms = [arm_of(name, model, robot, RANGES) for name in NAMES]
         places = make_testbeds(robot, arms, PLAN, RANGES, reality or model)
         agents = train(folder / "train", robot, arms, PLAN)
-        return ablate(folder, robot, NAMES, agents, PLAN, places, repeats=3, longest=100)
+        return ablate(folder, robot, NAMES, agents, PLAN, places, repeats=3)
 
-    return call
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(TASKS, "turn", shortened(TASKS["turn"], 100))
+        yield call
 
 
 @pytest.fixture(scope="module")

@@ -125,7 +125,7 @@ def test_a_mirrored_transition_is_what_the_mirrored_robot_does(world_of, view):
 def test_schedules_reach_the_updates(world_of):
     world = world_of(1)
     settings = Settings(hidden=(8, 8), memory=100, batch=16, rate=1e-2, rate_end=0.0)
-    agents = Agents([make_sac(world, settings, 0)], settings, world.device)
+    agents = Agents([make_sac(world, settings, 0, view=View())], settings, world.device)
     batch = batch_of(1, 1 + View().size(3), 3, torch.Generator().manual_seed(0), B=16)
     agents.set_schedule(0.5, [0.25])
     assert agents._rate.item() == pytest.approx(5e-3)
@@ -146,7 +146,7 @@ def test_schedules_reach_the_updates(world_of):
 def test_the_saved_actor_follows_the_one_that_learns(world_of):
     world = world_of(1)
     settings = Settings(hidden=(8, 8), memory=100, batch=16, average=0.25)
-    model = make_sac(world, settings, 0)
+    model = make_sac(world, settings, 0, view=View())
     agents = Agents([model], settings, world.device)
     batch = batch_of(1, 1 + View().size(3), 3, torch.Generator().manual_seed(0), B=16)
     agents.update(batch)
@@ -164,7 +164,7 @@ def test_the_saved_actor_follows_the_one_that_learns(world_of):
 def test_rewards_are_paid_at_the_price_that_networks_are_told(world_of):
     world = world_of(1)
     settings = Settings(hidden=(8, 8), memory=100, batch=64, prices=3.0, mirror=False)
-    agents = Agents([make_sac(world, settings, 0)], settings, world.device)
+    agents = Agents([make_sac(world, settings, 0, view=View())], settings, world.device)
     F = View().size(3)
     agents.price.fill_(0.5)
     agents.remember(
@@ -182,7 +182,7 @@ def test_rewards_are_paid_at_the_price_that_networks_are_told(world_of):
 def test_a_saved_policy_swims_at_the_price_that_it_is_set_to(world_of, tmp_path):
     world = world_of(1)
     settings = Settings(hidden=(16, 8), memory=100, batch=16)
-    models = [make_sac(world, settings, seed) for seed in (0, 1)]
+    models = [make_sac(world, settings, seed, view=View()) for seed in (0, 1)]
     agents = Agents(models, settings, world.device)
     for one in agents.actor.weights:  # what a training would have made of it
         one.add_(0.3 * torch.randn(one.shape, generator=torch.Generator().manual_seed(1)))

@@ -12,9 +12,13 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from rl.controllers import Controller
 from rl.controllers.classical import (
+    CONTROL_S,
     PACES,
     ADRCGains,
+    CentralPatternGenerator,
     DisturbanceRejection,
+    Gait,
+    Gliding,
     LineOfSight,
     PNLGains,
     ProportionalNavigation,
@@ -22,7 +26,6 @@ from rl.controllers.classical import (
     line_of_sight_rate,
     tuned,
 )
-from rl.controllers.cpg import CONTROL_S, CentralPatternGenerator, Gait, Gliding
 from rl.controllers.discrete_cpg import TABLE, DiscreteCPG, DiscreteCPGEnv
 from sim2real.errors import InputError
 
@@ -96,19 +99,20 @@ class TestLineOfSight:
         assert line_of_sight_rate(row)[0] == pytest.approx((angles[1] - angles[0]) / h, rel=1e-4)
 
     def test_a_turn_goes_on_past_the_point_behind(self) -> None:
-        sight = LineOfSight(1, 0.0)
-        met = []
-        for angle in np.radians([170, 179, 185, 220, 230]):
-            row = np.zeros((1, 11))
-            row[0, 9:] = np.cos(angle), np.sin(angle)
+        rows = np.zeros((5, 1, 11))
+        angle = np.radians([170, 179, 185, 220, 230])
+        rows[:, 0, 9:] = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        sight = LineOfSight(0.0, rows[0])
+        met = [170.0]
+        for row in rows[1:]:
             sight.update(row)
             met.append(np.degrees(sight.smooth[0]))
         assert met == pytest.approx([170, 179, 185, 220, -130])
 
     def test_smooths_over_its_time_constant(self) -> None:
-        sight = LineOfSight(1, 0.5)
-        for k in range(26):
-            sight.update(seen(1, target=(1.0, 0.0) if k == 0 else (1.0, 1.0)))
+        sight = LineOfSight(0.5, seen(1, target=(1.0, 0.0)))
+        for _ in range(25):
+            sight.update(seen(1, target=(1.0, 1.0)))
         assert sight.smooth[0] == pytest.approx(np.pi / 4 * (1 - np.exp(-1)))
         assert sight.bearing[0] == pytest.approx(np.pi / 4)
 
@@ -131,7 +135,7 @@ class TestADRC:
     @pytest.mark.parametrize("drift", [0.0, 1.0])
     def test_turns_a_plant_to_its_target_against_a_disturbance(self, drift: float) -> None:
         still = replace(ADRC, amplitude_rad=0.0)
-        controller = DisturbanceRejection(LIMITS, 2, still)
+        controller = DisturbanceRejection(LIMITS, still)
         target = np.array([2.0, -2.0])
         heading, rate = np.zeros(2), np.zeros(2)
         for _ in range(600):
@@ -148,7 +152,7 @@ class TestBoth:
     @pytest.mark.parametrize("pace", PACES)
     @pytest.mark.parametrize(("kind", "gains"), [(PNLS, PNLGains), (ADRCS, ADRCGains)])
     def test_tuned_ones_keep_inside_the_limits(self, kind: Kind, gains: type, pace: str) -> None:
-        controller = kind(LIMITS, 4, tuned("pnl" if kind is PNLS else "adrc", gains, pace))
+        controller = kind(LIMITS, tuned("pnl" if kind is PNLS else "adrc", gains, pace))
         angle = np.array([controller.act(seen(4, seed=k)) for k in range(200)])
         assert (angle.dtype, angle.shape) == (np.float32, (200, 4, 3))
         assert (angle >= LIMITS[:, 0].astype(np.float32)).all()
@@ -157,7 +161,7 @@ class TestBoth:
 
     @BOTH
     def test_is_the_same_left_and_right(self, kind: Kind, gains) -> None:
-        one, other = kind(WIDE, 5, gains), kind(WIDE, 5, gains)
+        one, other = kind(WIDE, gains), kind(WIDE, gains)
         for k in range(100):
             row = seen(5, seed=k)
             assert one.act(row) == pytest.approx(-other.act(mirrored(row)), abs=1e-5)
@@ -165,7 +169,7 @@ class TestBoth:
     @BOTH
     def test_each_robot_has_its_own_gains(self, kind: Kind, gains) -> None:
         pair = replace(gains, amplitude_rad=np.array([0.2, 0.5]), bend_rad=np.array([0.3, 0.6]))
-        both, alone = kind(LIMITS, 2, pair), kind(LIMITS, 2, gains)
+        both, alone = kind(LIMITS, pair), kind(LIMITS, gains)
         for k in range(60):
             row = seen(2, seed=k)
             angle, same = both.act(row), alone.act(row)
@@ -173,14 +177,14 @@ class TestBoth:
         assert (angle[0] != same[0]).any()
 
 
-def gaits(limits: np.ndarray, n: int, _: object) -> DiscreteCPG:
+def gaits(limits: np.ndarray, _: object) -> DiscreteCPG:
     env = DiscreteCPGEnv(Counting([99]))
-    return DiscreteCPG(PPO("MlpPolicy", env, n_steps=8, batch_size=8, seed=0), limits, n)
+    return DiscreteCPG(PPO("MlpPolicy", env, n_steps=8, batch_size=8, seed=0), limits)
 
 
 @pytest.mark.parametrize(("kind", "gains"), [(PNLS, PNL), (ADRCS, ADRC), (gaits, None)])
 def test_robots_begin_anew_after_a_reset(kind: Kind, gains) -> None:
-    reset, fresh = kind(LIMITS, 4, gains), kind(LIMITS, 4, gains)
+    reset, fresh = kind(LIMITS, gains), kind(LIMITS, gains)
     for k in range(43):
         reset.act(seen(4, seed=k))
     reset.reset()
@@ -254,7 +258,7 @@ class TestDiscrete:
     def test_controller_does_what_the_wrapper_did(self) -> None:
         env = DiscreteCPGEnv(Counting([99, 99, 99]))
         model = PPO("MlpPolicy", env, n_steps=8, batch_size=24, seed=0, device="cpu")
-        controller = DiscreteCPG(model, LIMITS, 3)
+        controller = DiscreteCPG(model, LIMITS)
         row, plain = env.reset(), env.venv.reset()
         for _ in range(3):
             choice = model.predict(row, deterministic=True)[0]

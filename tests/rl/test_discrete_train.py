@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rl.controllers.discrete_cpg import COLUMNS, TABLE, read_policy, read_table, train_run
+from rl.controllers.discrete_cpg import COLUMNS, TABLE, read_policy, train_run
 from sim2real.errors import InputError
 
 POOL = Path(__file__).resolve().parents[2] / "datasets" / "pool"
@@ -31,12 +31,9 @@ def test_a_run_leaves_a_policy_and_its_progress(run):
 
 
 def test_the_policy_knows_its_gaits_and_acts_within_the_limits(run, robot):
-    path = run[1][0] / "policy.zip"
-    table = read_table(path)
-    assert table is not None
-    assert table.content() == TABLE.content()
     limits = np.array([joint.limits_rad for joint in robot.joints])
-    controller = read_policy(path, table, limits, 5)
+    controller = read_policy(run[1][0] / "policy.zip", limits)
+    assert controller.table.content() == TABLE.content()
     seen = np.random.default_rng(0).normal(0, 0.2, (5, 11)).astype(np.float32)
     angles = np.array([controller.act(seen) for _ in range(30)])
     assert (angles >= limits[:, 0] - 1e-6).all()
@@ -57,9 +54,8 @@ def test_a_run_that_is_done_is_not_done_again_and_another_is_refused(run):
     ("name", "value"), [("offset_rad", [0.0]), ("hold", 0), ("hold", 1001), ("lag_rad", "x")]
 )
 def test_a_table_that_is_none_is_refused(run, tmp_path, name, value):
-    agent = read_policy(run[1][0] / "policy.zip", TABLE, LIMITS, 1).model
+    agent = read_policy(run[1][0] / "policy.zip", LIMITS).model
     agent.gaits, agent.joints = {**TABLE.content(), name: value}, ["j1", "j2", "j3"]
     agent.save(tmp_path / "policy.zip")
     with pytest.raises(InputError, match=f"gaits.{name}"):
-        read_table(tmp_path / "policy.zip")
-    assert read_table(POOL / "robot.toml") is None
+        read_policy(tmp_path / "policy.zip", LIMITS)

@@ -17,7 +17,6 @@ import torch
 from gymnasium.vector import AutoresetMode
 
 import rl  # noqa: F401 - it registers sim2real/Fish-v0
-from rl.controllers.discrete_cpg import DiscreteCPGEnv
 from rl.env import FishEnv, FishVectorEnv
 from rl.make import FISH
 from rl.observer import PAPER, View
@@ -136,15 +135,6 @@ def test_the_terms_of_the_reward_add_up_to_it(world_of):
     sums = [sum(info[name] for name in names) for info in told]
     assert np.allclose(sums, rewards, atol=1e-5)
     assert [info["is_success"] for info in told] == [True, False]
-
-
-def test_the_terms_of_a_held_gait_add_up_too(world_of):
-    env = DiscreteCPGEnv(FishVecEnv(world_of(3, shortened(TASKS["near"], 15)), PAPER))
-    env.reset()
-    for _ in range(2):
-        _, rewards, _, infos = env.step(np.array([0, 7, 14]))
-        sums = [sum(info[k] for k in info if k.startswith("reward_")) for info in infos]
-        assert np.allclose(sums, rewards, atol=1e-5)
 
 
 def test_stable_baselines_logs_the_success_rate(world_of):
@@ -271,21 +261,21 @@ def test_no_row_is_swapped_at_resets(world_of):
 
 def test_reward_is_the_papers(world_of):
     world = world_of(8, "point")
-    before = torch.linalg.vector_norm(world._target() - world.pose[:, :2], dim=1)
+    before = torch.linalg.vector_norm(world.targets[:, 0] - world.pose[:, :2], dim=1)
     step = world.step(torch.full((8, 3), 0.4))
-    after = torch.linalg.vector_norm(world._target() - world.pose[:, :2], dim=1)
+    after = torch.linalg.vector_norm(world.targets[:, 0] - world.pose[:, :2], dim=1)
     expected = 10 * (before - after) - 0.001 * (world.rate**2).sum(dim=1)
     assert torch.allclose(step.reward, expected, atol=1e-5)
 
 
 def test_waypoints_follow_one_another(world_of):
     world = world_of(1, "pentagram")
-    first = world._target().clone()
+    first = world.targets[:, 0].clone()
     world.targets[0, 0] = world.pose[0, :2]
     step = world.step(torch.zeros(1, 3))
     assert world.waypoint.tolist() == [1]
     assert not step.terminated.any()
-    assert not torch.equal(world._target(), first)
+    assert not torch.equal(world.targets[:, 0], first)
 
 
 def test_noise_has_the_size_asked_for(world_of, model):

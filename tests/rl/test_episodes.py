@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from rl.controllers.classical import ProportionalNavigation
 from rl.experiments.episodes import energy, path_length, run_episodes
 from rl.experiments.film import TARGET, Film
+from rl.experiments.named import controller_of
 from rl.task import TASKS, shortened
 from sim.view.video import FRAMES_PER_S, Video
 
@@ -27,9 +27,8 @@ def test_path_of_a_straight_line() -> None:
 def test_a_film_shows_the_whole_swim_and_the_target(world_of, tmp_path):
     path = tmp_path / "swim.avi"
     world = world_of(2, shortened(TASKS["near"], 100), seed=1)
-    limits = np.stack([world.low.numpy(), world.high.numpy()], axis=1)
     with Video(path) as video, Film(video, world, "pnl", width=320) as film:
-        run_episodes(world, ProportionalNavigation(limits, 2), watch=film)
+        run_episodes(world, controller_of("pnl", world.simulator.robot), watch=film)
     read = cv2.VideoCapture(str(path))
     frames = []
     while (more := read.read())[0]:

@@ -11,8 +11,7 @@ from gymnasium import spaces
 from stable_baselines3 import PPO, SAC
 
 from rl.commands.export import run
-from rl.deploy.export import policy_of, read_zip
-from rl.deploy.header import c_header
+from rl.deploy.export import c_header, policy_of, read_zip
 from rl.deploy.policy import PolicyController, npz, read_npz
 from rl.observer import observation_bounds
 from sim2real.errors import InputError

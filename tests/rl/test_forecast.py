@@ -326,7 +326,7 @@ def test_an_interrupted_forecast_resumes_with_the_same_results(robot, model, tmp
     rng, task = np.random.default_rng(9), shortened(TASKS["near"], 15)
     drawn = draw_realities(robot, model, RANGES, sample(rng), 6, rng)
     policies = named_controllers([str(POLICY), "pnl"], robot)
-    forecaster = Forecaster(robot, task, drawn, 2, 1, SimulationSettings(at_once=3))
+    forecaster = Forecaster(robot, task, drawn, 2, 1, SimulationSettings(), at_once=3)
     runs = []
     episodes = rl.experiments.testbeds.run_episodes
     monkeypatch.setattr(

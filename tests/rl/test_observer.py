@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from rl.deploy.export import policy_of, write_policy
-from rl.deploy.header import c_header
+from rl.deploy.export import c_header, policy_of, write_policy
 from rl.deploy.policy import PolicyController, read_npz
 from rl.observer import PAPER, Observer, View
 from rl.sac.plan import Settings

@@ -13,7 +13,7 @@ import pytest
 import torch
 from stable_baselines3 import DQN, SAC
 
-from rl.controllers.discrete_cpg import TABLE, DiscreteCPGEnv, make_dqn, read_policy, read_table
+from rl.controllers.discrete_cpg import TABLE, DiscreteCPGEnv, make_dqn, read_policy
 from rl.deploy.export import read_zip, set_price
 from rl.experiments.named import controller_of
 from rl.observer import PAPER, View
@@ -49,7 +49,7 @@ def sac_of(world_of, view=View()):  # noqa: B008 - frozen
 
 
 def dqn_of(world_of):
-    agent = make_dqn(DiscreteCPGEnv(FishVecEnv(world_of(2), PAPER), TABLE), 0)
+    agent = make_dqn(DiscreteCPGEnv(FishVecEnv(world_of(2), PAPER)), 0)
     agent.gaits, agent.joints = TABLE.content(), ["j1", "j2", "j3"]
     return agent
 
@@ -108,16 +108,16 @@ def test_the_poison_works(old, tmp_path):
 
 @pytest.mark.parametrize("weights", [False, True])
 @pytest.mark.parametrize("kind", ["sac", "dqn"])
-def test_nothing_in_a_file_is_executed(old, agents, tmp_path, kind, weights):
+def test_nothing_in_a_file_is_executed(old, agents, robot, tmp_path, kind, weights):
     mark = tmp_path / "mark"
     file = poisoned(old[kind], mark, weights=weights)
     readers = {
         "agent": lambda: read_agent(file),
         "zip": lambda: read_zip(file),
         "first": lambda: start_from(agents["sac"], file),
-        "gaits": lambda: read_policy(file, TABLE, LIMITS, 2),
-        "named": lambda: controller_of(str(file), LIMITS, 2),
-        "at a price": lambda: controller_of(f"{file}@0.5", LIMITS, 2),
+        "gaits": lambda: read_policy(file, LIMITS),
+        "named": lambda: controller_of(str(file), robot),
+        "at a price": lambda: controller_of(f"{file}@0.5", robot),
     }
     harmless = {"gaits", "named"} if kind == "dqn" and not weights else set()
     for name, read in readers.items():
@@ -175,7 +175,7 @@ def test_files_of_former_versions_give_the_same_actions(world_of, tmp_path, view
 
 
 def test_gaits_of_former_versions_are_chosen_as_before(old, agents):
-    controller = read_policy(old["dqn"], read_table(old["dqn"]), LIMITS, 9)
+    controller = read_policy(old["dqn"], LIMITS)
     seen = np.random.default_rng(2).normal(0, 0.5, (40, 13)).astype(np.float32)
     mine, theirs = (one.predict(seen, deterministic=True)[0] for one in (
         controller.model, agents["dqn"]))  # fmt: skip
@@ -197,10 +197,8 @@ def test_the_same_policy_gives_the_same_bytes(agents, tmp_path):
     again = read_agent(tmp_path / "sac-0.zip")
     again.save(tmp_path / "again.zip")
     assert (tmp_path / "again.zip").read_bytes() == (tmp_path / "sac-0.zip").read_bytes()
-    table = read_table(tmp_path / "dqn-0.zip")
-    assert table is not None
-    assert table.content() == TABLE.content()
-    controller = read_policy(tmp_path / "dqn-0.zip", table, LIMITS, 2)
+    controller = read_policy(tmp_path / "dqn-0.zip", LIMITS)
+    assert controller.table.content() == TABLE.content()
     for mine, theirs in zip(
         controller.model.policy.parameters(), agents["dqn"].policy.parameters(), strict=True
     ):
@@ -281,7 +279,6 @@ def test_a_zip_bomb_is_not_unpacked(agents, tmp_path, monkeypatch):
     monkeypatch.setattr(zipfile.ZipExtFile, "read", lambda *_: pytest.fail("unpacked"))
     with pytest.raises(InputError, match="MiB when unpacked"):
         read_agent(bomb)
-    assert read_table(bomb) is None
 
 
 def test_tensors_that_are_packed_are_not_unpacked(agents, tmp_path):

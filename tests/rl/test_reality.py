@@ -7,10 +7,10 @@ import pytest
 
 from rl.deploy.policy import PolicyController
 from rl.experiments.episodes import energy, run_episodes
-from rl.experiments.reality import Starts, read_reality, real_world
+from rl.experiments.reality import read_reality, real_world
 from rl.experiments.testbeds import Controllers, real
 from rl.make import make_world
-from rl.task import TASKS, shortened
+from rl.task import TASKS, Starts, shortened
 from rl.world import Draws
 from sim.twin.twin import Twin
 from sim2real.errors import InputError

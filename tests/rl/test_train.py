@@ -16,11 +16,11 @@ from rl.deploy.export import policy_of, set_price
 from rl.deploy.policy import PolicyController
 from rl.experiments import testbeds
 from rl.experiments.episodes import summary
-from rl.experiments.named import shown, with_price
+from rl.experiments.named import controller_of, shown, with_price
 from rl.experiments.testbeds import DrawnTrials
 from rl.make import draw_models, noise_of
 from rl.observer import PAPER
-from rl.sac.checkpoint import COLUMNS, draw_curves, read_progress
+from rl.sac.checkpoint import COLUMNS, curves_figure, read_progress
 from rl.sac.plan import RECIPES, Settings, plan_of
 from rl.sac.sac import read_agent
 from rl.sac.train import Arm, Plan, train, train_in_parts, train_run
@@ -29,6 +29,7 @@ from rl.world import Draws, Noise
 from sim2real.body import values
 from sim2real.errors import InputError
 from sim2real.ranges.entry import Ranges, normal, read_ranges, uniform
+from sim2real.report.drawing import save_png
 
 POOL = Path(__file__).resolve().parents[2] / "datasets" / "pool"
 SETTINGS = Settings(hidden=(16, 16), memory=400, batch=16, warm_up=320, updates_per_step=0.1)
@@ -175,7 +176,7 @@ def test_progress_says_what_happened(robot, model, tmp_path):
     assert tuple(seen) == COLUMNS
     assert seen["steps"][-1] == PLAN.steps
     assert seen["episodes"].sum() == 48
-    draw_curves({"a": [folder]}, tmp_path / "curve.png")
+    save_png(curves_figure({"a": [folder]}), tmp_path / "curve.png")
     assert (tmp_path / "curve.png").stat().st_size > 5000
     assert json.loads((tmp_path / "run.json").read_text())["plan"]["steps"] == PLAN.steps
 
@@ -372,11 +373,8 @@ def test_each_agent_swims_at_the_price_that_does_best(robot, model, tmp_path, mo
     chosen = testbeds.choose_prices(trials, [folder])
     (price,) = chosen.values()
     assert read_agent(folder / "policy.zip").by_price["share"] == pytest.approx(np.log2(price))
-    makers = {
-        str(one): lambda _, policy=policy: PolicyController(policy)
-        for one, policy in policies.items()
-    }
-    swum = trials.run(TASKS["turn"], makers, testbeds.PRICE_SEED)
+    controllers = {str(one): PolicyController(policy) for one, policy in policies.items()}
+    swum = trials.run(TASKS["turn"], controllers, testbeds.PRICE_SEED)
     spent = {one: summary(swum[str(one)], TASKS["turn"])["energy"] for one in prices}
     assert max(spent.values()) > 1.2 * spent[1.0]
     assert spent[price] <= 1.001 * spent[1.0], "nobody arrives, so that energy decides"
@@ -397,8 +395,8 @@ def test_a_policy_is_called_with_a_price(tmp_path):
 def test_trials_are_the_same_for_all(robot, model):
     ranges = Ranges((uniform("command_latency_s", 0.03, 0.09, "s", ""),))
     trials = DrawnTrials(robot, model, ranges, episodes=4)
-    makers = {name: trials.maker("pnl") for name in ("one", "other")}
-    swims = trials.run(shortened(TASKS["turn"], 80), makers)
+    controllers = {name: controller_of("pnl", robot) for name in ("one", "other")}
+    swims = trials.run(shortened(TASKS["turn"], 80), controllers)
     one, other = swims["one"], swims["other"]
     assert np.allclose(one.pose, other.pose, atol=1e-6)
     assert np.ptp(one.rate[60].sum(axis=1)) > 1e-3, "robots differ from trial to trial"

@@ -1,24 +1,22 @@
-"""Figures of the paths of robots over the pool, a panel for each controller."""
+"""Figures of swims: paths over the pool, bars, signals beside their simulation, stills of films."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rl.experiments.episodes import FIGURES
-from rl.task import POINT, START_ZONE, TARGET_ZONE
-from sim2real.arrays import Array
+from rl.experiments.film import MARGIN_M
+from rl.task import DOMAIN_M, START_ZONE, TARGET_ZONE, TASKS
+from sim.inference.swims import Swim
+from sim.view.video import FRAMES_PER_S
+from sim2real.arrays import Array, Picture
 from sim2real.report.style import ACCENT, FAINT, INK, MUTED, RULE, house_style, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-_ACROSS = 2
-_PANEL = 360
-_MARGIN_M = 0.15
-
 
 Way = tuple[Array, dict[str, Any]]
 """Path of a head, x and y in m, shape (T, 2), NaN after its end; how it is drawn."""
@@ -34,8 +32,8 @@ def pool_figure(
         for name, of_name in ways.items()
     }
     points = np.concatenate([targets, *(x for of_name in ways.values() for x in of_name)])
-    low, high = np.nanmin(points, axis=0) - _MARGIN_M, np.nanmax(points, axis=0) + _MARGIN_M
-    height = _PANEL * (high[1] - low[1]) / (high[0] - low[0]) + 40
+    low, high = np.nanmin(points, axis=0) - 0.15, np.nanmax(points, axis=0) + 0.15
+    height = 360 * (high[1] - low[1]) / (high[0] - low[0]) + 40
 
     def mark(axes: Any, name: str) -> None:  # noqa: ANN401
         from matplotlib.patches import Circle
@@ -43,7 +41,7 @@ def pool_figure(
         axes.grid(False)
         axes.plot(*targets.T, color=RULE, linewidth=1.0, zorder=1)
         for target in targets:
-            axes.add_patch(Circle(target, POINT.arrive_m, fc="none", ec=FAINT, zorder=2))
+            axes.add_patch(Circle(target, TASKS["point"].arrive_m, fc="none", ec=FAINT, zorder=2))
         axes.plot(*ways[name][0][0], "o", color=INK, markersize=4, zorder=4)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         axes.set_title(notes[name], loc="right")
@@ -132,15 +130,11 @@ def paths_figure(
 
 
 def _panels(
-    ways: Mapping[str, Sequence[Way]],
-    label: str,
-    height: float,
-    mark: Callable[[Any, str], None],
-    *,
-    shared: bool,
-) -> Figure:
+    ways: Mapping[str, Sequence[Way]], label: str, height: float,
+    mark: Callable[[Any, str], None], *, shared: bool,
+) -> Figure:  # fmt: skip
     """A panel for each name, with what ``mark`` adds to its axes."""
-    rows, columns = -(-len(ways) // _ACROSS), min(_ACROSS, len(ways))
+    rows, columns = -(-len(ways) // 2), min(2, len(ways))
     with house_style():
         figure = new_figure(rows * height + 20, label)
         panels = figure.subplots(rows, columns, squeeze=False, sharex=shared, sharey=shared).ravel()
@@ -167,3 +161,60 @@ def aligned(path: Array, target: Array, colour: str = INK) -> Way:
     c, s = (target - path[0]) / np.linalg.norm(target - path[0])
     style = {"color": colour, "alpha": 0.7, "lw": 0.7}
     return moved @ np.array([[-c, s], [-s, -c]]), style
+
+
+def compared_signals(swim: Swim, signals: Array, heading: Array) -> dict[str, tuple[Array, Array]]:
+    """Measured and simulated surge, sway, yaw and first joint, by label.
+
+    The simulation has ``signals`` (T, 3 + J) as ``Swim.signals`` and ``heading`` (T,).
+    """
+    surge, sway, joint = ((swim.signals[:, k], signals[:, k]) for k in (0, 1, 3))
+    yaw = (swim.heading - swim.start[2], heading - swim.start[2])
+    return {"surge (m/s)": surge, "sway (m/s)": sway, "yaw (rad)": yaw, "joint 1 (rad)": joint}
+
+
+def compared_figure(swims: Sequence[tuple[Swim, Mapping[str, tuple[Array, Array]]]]) -> Figure:
+    """A column for each swim and its ``compared_signals``, coloured as in the paper's Fig. 3."""
+    with house_style():
+        figure = new_figure(580, "Measured and simulated swims")
+        panels = figure.subplots(4, len(swims), squeeze=False, sharex="col", sharey="row")
+        for column, (swim, rows) in zip(panels.T, swims, strict=True):
+            for axes, (label, pair) in zip(column, rows.items(), strict=True):
+                if label.startswith("joint"):
+                    axes.plot(swim.t, swim.command[:, 0], color=INK, lw=0.6, label="command")
+                axes.plot(swim.t, pair[0], color="tab:red", lw=1.0, label="measured")
+                axes.plot(swim.t, pair[1], "--", color="tab:blue", lw=1.2, label="simulated")
+                axes.set_title(label)
+            column[0].set_title(swim.name, loc="right", color=INK)
+            column[-1].set_xlabel("time (s)")
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=3)
+    return figure
+
+
+def stills_figure(
+    reels: Mapping[str, Sequence[Picture]], ways: Sequence[Array], target: Array, count: int = 6
+) -> Figure:
+    """Stills of films from above at the same times, a row for each, around paths and target."""
+    points = np.concatenate([*ways, target[None]])
+    low, high = np.nanmin(points, axis=0) - 0.3, np.nanmax(points, axis=0) + 0.3
+    last = max(len(reel) for reel in reels.values()) - 1
+    with house_style():
+        width, height = high - low
+        tall = 680 / count * height / width
+        figure = new_figure(60 + (tall + 30) * len(reels), "Stills of the turn")
+        panels = figure.subplots(len(reels), count, squeeze=False)
+        ends = np.array([-1, 1, -1, 1]) * (DOMAIN_M[0] / 2 + MARGIN_M)
+        for row, (name, reel) in zip(panels, reels.items(), strict=True):
+            for axes, k in zip(row, np.linspace(0, last, count).round().astype(int), strict=True):
+                axes.imshow(reel[min(k, len(reel) - 1)], extent=ends)
+                axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xticks=[], yticks=[])
+                axes.set_title(f"{k / FRAMES_PER_S:.1f} s", color=INK)
+                axes.spines[:].set(visible=True)
+            row[0].set_ylabel(name)
+    return figure
+
+
+def in_step(reels: Sequence[Sequence[Picture]]) -> Iterator[Picture]:
+    """Frames of films side by side; one that is over keeps its last picture."""
+    for k in range(max(len(reel) for reel in reels) + FRAMES_PER_S):  # a second longer
+        yield np.hstack([reel[min(k, len(reel) - 1)] for reel in reels])
