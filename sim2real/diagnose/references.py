@@ -148,9 +148,8 @@ def _not_searched(
 ) -> list[Finding]:
     """Findings of joints that are compared with their references: nothing as yet."""
     rows = [joint_row(x.model, x.references[0].load, x.name) for x in joints if x.model]
-    inertia = batch.load[batch.first_signal, 0]
     places = np.arange(len(joints))
-    plain = _evaluated(batch, plain_servos(places, np.array(rows), inertia, batch.period))
+    plain = _evaluated(batch, plain_servos(places, np.array(rows), batch.inertia, batch.period))
     cases = plain_sets(plain, [joint.base for joint in joints])
     without = unmodelled(batch, [x.traces for x in joints], joined([t.plain.fit for t in cases]))
     search = ServoSearch(batch, DECISION.false_alarms / len(joints), rng)

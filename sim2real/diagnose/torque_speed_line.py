@@ -121,7 +121,7 @@ def _limits(
 def _fitted(search: ServoSearch, tried: Tried, members: Set, row: Array) -> Hypothesis:
     """The fit of a joint with these effects from a row (P,), whose line is free if it has one."""
     batch, j = search.batch, tried.case
-    inertia = batch.load[batch.first_signal[j], :1]
+    inertia = batch.inertia[[j]]
     plain = plain_servos(np.array([j]), row[None], inertia, batch.period, free_line=True)
     start = with_effects(plain, members, row, float(inertia[0]))
     fit = minimise(batch, start, iterations=15, blocks=BLOCKS)
