@@ -100,10 +100,7 @@ def with_arm_loads(
 
 
 def predicted_arm(
-    multibody: Multibody,
-    joints: Mapping[str, JointModel],
-    t: Array,
-    command: Mapping[str, Array],
+    multibody: Multibody, joints: Mapping[str, JointModel], t: Array, command: Mapping[str, Array]
 ) -> tuple[ArmMotion, dict[str, Array]]:
     """Motion and measured angles of an arm that a model predicts from commands alone.
 

@@ -25,7 +25,7 @@ from sim2real.identification.joint_fit import EXPLAINED, choose_motor
 from sim2real.identification.priors import motor_prior, of_effects, plain_parameters
 from sim2real.identification.problem import Fit, ServoProblem
 from sim2real.identification.reading_noise import without_wrong_readings
-from sim2real.identification.search import fit
+from sim2real.identification.search import first_guess, fit
 from sim2real.identification.servo_problem import (
     Fits,
     Hypothesis,
@@ -36,7 +36,6 @@ from sim2real.identification.servo_problem import (
     minimise,
     plain_servos,
 )
-from sim2real.identification.starts import first_guess
 from sim2real.inference.correlated_noise import correlation_samples
 from sim2real.inference.least_squares import rms
 from sim2real.model import FittedEffect, JointModel, Model

@@ -19,6 +19,7 @@ from sim2real.diagnose.free_parameters import (
 )
 from sim2real.diagnose.screening import Candidate, Screen, candidates, screen
 from sim2real.effects import named
+from sim2real.identification.search import servos_at
 from sim2real.identification.servo_problem import (
     Fits,
     Hypothesis,
@@ -29,7 +30,6 @@ from sim2real.identification.servo_problem import (
     plain_servos,
     stacked,
 )
-from sim2real.identification.starts import servos_at
 from sim2real.inference.evidence import occam_factor
 from sim2real.inference.parameters import kronecker
 from sim2real.model import JointModel

@@ -11,17 +11,19 @@ import numpy as np
 from sim2real.effects import named
 from sim2real.identification.control_loop import undetected_loop
 from sim2real.identification.joint_fit import refitted
-from sim2real.identification.problem import Fit
-from sim2real.identification.search import error_on, fit
+from sim2real.identification.priors import MOTOR_SHEET, gains, of_effects
+from sim2real.identification.problem import Fit, ServoProblem
+from sim2real.identification.search import error_on, first_guess, fit
 from sim2real.identification.uncertainty import Uncertainty, uncertainty
 from sim2real.inference.least_squares import rms
+from sim2real.inference.normal import Z90
 from sim2real.inference.parameters import column
 from sim2real.noise import ABOVE_NOISE
 from sim2real.recording import PER_INERTIA, Load, Recording
-from sim2real.robot import Robot, Servo
+from sim2real.robot import Servo
 from sim2real.servo.linearised import fastest_visible_rad_s, ringing_rad_s
 from sim2real.servo.parameters import COLUMNS, INERTIA_LEFT_OUT, LINE
-from sim2real.servo.trace import Trace, firmware_gain
+from sim2real.servo.trace import Trace, firmware_gain, sensor_noise, traces
 from sim2real.units import readable_name
 
 _KEPT = 0.7
@@ -165,14 +167,11 @@ def on_weight(plain: Fit, *, contradicted: float = 0.5) -> list[str]:
     return [f"kp, kd and every torque are in proportion to the stated pendulum {pendulum}"]
 
 
-def on_data_sheet(robot: Robot, joint: str, needed: Sequence[str]) -> list[str]:
+def on_data_sheet(servo: Servo) -> list[str]:
     """A note where the data sheet does not state what the law of a motor needs."""
-    described = robot.joint(joint)
-    if described is None:
-        return []
-    missing = " and ".join(name for name in needed if not described.servo.states(name))
+    missing = " and ".join(name for name in MOTOR_SHEET if not servo.states(name))
     return [
-        f"the linear law pd was fitted, as servo {described.servo.name} states no {missing}; with "
+        f"the linear law pd was fitted, as servo {servo.name} states no {missing}; with "
         "these values of the data sheet, the model also limits torque and speed in faster motions"
     ]
 
@@ -265,3 +264,38 @@ def on_inertia(fixed: Fit, scored: Sequence[Trace], stated: Load) -> list[str]:
         f"{1e3 * after:.1f} mrad) and changes the latency by {shift:+.1f} ms; a rotor or arm may "
         "be missing from it, --effects unmodelled_inertia fits it"
     ]
+
+
+def expected_precision(recording: Recording, joint: str, *, seed: int = 0) -> tuple[str, ...]:
+    """Parameters of one joint that the recording can and cannot identify, one sentence each.
+
+    From the Fisher information of an approximate PD servo: half-widths of 90 % intervals if the
+    joint is a PD servo and the noise is independent.
+    """
+    moving = traces([recording], joint)
+    if not moving:
+        return ("nothing can be identified: the joint does not move under command",)
+    trace = moving[0]
+    start = first_guess(moving, np.random.default_rng(seed))[0]
+    inertia, kp = trace.load.inertia_kgm2, float(start[0])
+    names, parameters = ["kp", "kd", "latency", "inertia left out"], list(gains(inertia))
+    if trace.load is not PER_INERTIA and trace.load.gravity_Nm > 0:  # a pendulum
+        parameters += of_effects([named("unmodelled_inertia")], start, inertia)
+    problem = ServoProblem(moving, start, tuple(parameters))
+    x = problem.searched(start[None])
+    _, (slopes,) = problem.slopes(x, rough=False)
+    size = problem.unit * np.where(problem.log, problem.values(x)[0], 1.0)
+    unit = np.array([kp, max(start[1], 0.4 * np.sqrt(kp * inertia)), 0.05, inertia])[: size.size]
+    scaled = slopes / size * unit / sensor_noise([trace])
+    level, directions = np.linalg.eigh(scaled.T @ scaled)
+    sd = np.sqrt((directions**2) @ (1 / np.maximum(level, 1e-12)))
+    precise, units = [], ("N m/rad", "N m s/rad", "ms", "kg m2")
+    for k in np.flatnonzero(sd < 1).tolist():
+        half = Z90 * sd[k] * unit[k] * (1e3 if k == 2 else 1.0)
+        share = 100 * half / start[k] if k < 2 and start[k] > 0 else np.inf
+        how = f"{share:.2g} %" if share < 100 else f"{half:.2g} {units[k]}"
+        precise.append(f"{names[k]} to {how}")
+    per = " per unit of inertia" if trace.load is PER_INERTIA else ""
+    sentences = [f"can identify{per}: {', '.join(precise)}"] if precise else []
+    open_ones = [names[k] for k in np.flatnonzero(sd >= 1)]
+    return (*sentences, f"cannot identify: {', '.join(open_ones)}") if open_ones else (*sentences,)

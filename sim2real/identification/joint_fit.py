@@ -22,8 +22,7 @@ from sim2real.identification.priors import (
     scale_inertia,
 )
 from sim2real.identification.problem import Fit, ServoProblem, plain_row
-from sim2real.identification.search import fit
-from sim2real.identification.starts import drawn, first_guess
+from sim2real.identification.search import drawn, first_guess, fit
 from sim2real.inference.correlated_noise import whiteness
 from sim2real.inference.least_squares import rms
 from sim2real.recording import PER_INERTIA

@@ -18,11 +18,12 @@ from sim2real.model import Model
 from sim2real.noise import ABOVE_NOISE
 from sim2real.plausible import admitted
 from sim2real.posterior.chain import require
-from sim2real.posterior.predictive_check import PredictiveCheck, predictive_check
 from sim2real.posterior.servo import (
     STEPS,
     WALKERS,
+    PredictiveCheck,
     ServoPosterior,
+    predictive_check,
     sample_servo,
     servo_problem,
 )

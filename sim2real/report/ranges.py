@@ -9,8 +9,7 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.posterior.chain import LEAST_TIMES
-from sim2real.posterior.predictive_check import LEVELS, PredictiveCheck
-from sim2real.posterior.servo import ServoPosterior
+from sim2real.posterior.servo import LEVELS, PredictiveCheck, ServoPosterior
 from sim2real.ranges.entry import Ranges
 from sim2real.ranges.gather import Gathered
 from sim2real.ranges.latency import Latencies

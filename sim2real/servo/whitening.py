@@ -68,12 +68,7 @@ def four_before(k: int, x: Row) -> wp.vec4d:
 
 @wp.kernel(enable_backward=False)
 def whiten(
-    problem: Rows,
-    signal: Rows,
-    length: Rows,
-    counts: Counts,
-    autoregression: Table,
-    angle: Table,
+    problem: Rows, signal: Rows, length: Rows, counts: Counts, autoregression: Table, angle: Table
 ) -> None:
     """Replace every sample by its innovation, 0 where the sample does not count."""
     row = wp.tid()

@@ -12,8 +12,7 @@ from sim2real.identification.search import fit
 from sim2real.identification.uncertainty import uncertainty
 from sim2real.model import FittedEffect, JointModel
 from sim2real.posterior.posteriors import joint_sample, read_sample, write_sample
-from sim2real.posterior.predictive_check import predictive_check
-from sim2real.posterior.servo import sample_servo, servo_problem
+from sim2real.posterior.servo import predictive_check, sample_servo, servo_problem
 from sim2real.recording import Load
 from sim2real.robot import Servo
 
