@@ -84,7 +84,7 @@ def law_of(
     plain = fit(ServoProblem(references, starts[0], parameters), starts)
     if way_of(references, case) == "rest":
         return stated(plain.row, load)
-    motor = choose_motor(references, plain, servo, rng)
+    motor = choose_motor(plain, servo, rng)
     if rms([motor.error]) < EXPLAINED * sensor_noise(references):
         return stated(motor.row, load, motor.effects, motor.law)
     row = _with_losses(motor, servo)

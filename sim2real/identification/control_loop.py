@@ -36,12 +36,13 @@ def fit_sampled_loop(
     first_steps: int = 8,
     best: int = 2,
     rounds: int = 3,
+    phases: int = 64,
 ) -> Fit | None:
     """Fit a sampled loop, without a test of its significance; None with too few large steps.
 
     The latency of the ``motor`` without a loop includes the mean wait for the next sample. All
     recordings are assumed to start at the same phase. After a search of ``first_steps`` for each
-    period, the ``best`` phases are searched on, in ``rounds``.
+    period, the ``best`` of ``phases`` earlier and later ones are searched on, in ``rounds``.
     """
     sent, delay, spread = _arrivals(motor)
     if sent.size < fewest:
@@ -58,8 +59,10 @@ def fit_sampled_loop(
     coarse = [ranked(_starts(motor, 1 / hz, sent, delay, spread))[:1] for hz in rates]
     row = _searched(problem, np.concatenate(coarse), noise, first_steps)
     for _ in range(rounds):
-        candidates = ranked(np.concatenate([row[None], _with_other_phases(row)]))
-        row = _searched(problem, candidates[:best], noise, 10)
+        others = np.tile(row, (phases + 1, 1))  # set-points wait for other samples
+        others[:, _LATENCY] -= np.linspace(-0.5, 0.5, phases + 1) * row[_LOOP[0]]
+        others[:, _LATENCY] = np.maximum(others[:, _LATENCY], 0.0)
+        row = _searched(problem, ranked(np.concatenate([row[None], others]))[:best], noise, 10)
     return fit(replace(problem, row=row), row[None], rounds=1, first=1)
 
 
@@ -75,15 +78,12 @@ def _searched(problem: ServoProblem, rows: Array, noise: tuple[float, float], st
 
 
 def undetected_loop(motor: Fit, *, synchronous: float = 0.95) -> tuple[float, float, float] | None:
-    """The slowest sampled loop that is not distinguishable from a continuous one.
+    """Period in s, kp and kd of the slowest sampled loop that is taken for a continuous one.
 
     Its samples are synchronous with the set-points, whose mean phase vector is longer than
     ``synchronous``: the wait is then equal for all set-points and equivalent to latency, and the
-    delay of the measurement is equivalent to other gains.
-
-    Returns:
-        Its period in s and the gains kp and kd that it implies; None if set-points are sent at
-        irregular times, or if the fit has a loop.
+    delay of the measurement is equivalent to other gains. None if set-points are sent at irregular
+    times, or if the fit has a loop.
     """
     if motor.row[COLUMNS.index(LOOP[0])] > 0:
         return None
@@ -192,11 +192,3 @@ def _equivalent_gains(motor: Fit, period_s: float) -> tuple[float, float]:
     inertia = motor.inertia + float(row[COLUMNS.index(ROTOR)])
     ratio = (1 + back_emf * half / inertia) / (1 + (kd + kp * half) * half / inertia)
     return ratio * kp, ratio * (kd + kp * half)
-
-
-def _with_other_phases(row: Array, *, phases: int = 64) -> Array:
-    """Servos (phases + 1, P) in which set-points wait for earlier or later samples."""
-    shift = np.linspace(-0.5, 0.5, phases + 1) * row[_LOOP[0]]
-    rows = np.tile(row, (shift.size, 1))
-    rows[:, _LATENCY] = np.maximum(rows[:, _LATENCY] - shift, 0.0)
-    return rows

@@ -179,12 +179,10 @@ def _fits(
     if servo is not None and not without_influence:
         losses = not effects or data[0].varying is None
         fewer = None if before is None else before.motor
-        motor = choose_motor(
-            data, plain, servo, rng, losses=losses, set_points=not effects, before=fewer
-        )
+        motor = choose_motor(plain, servo, rng, losses=losses, set_points=not effects, before=fewer)
     base = best = motor if motor is not None and BASE[0] in motor.names else plain
     if effects:
-        best = fit_effects(data, base, effects, rng) if before is None else again(before.best)
+        best = fit_effects(base, effects, rng) if before is None else again(before.best)
     return _JointFits(plain, without_influence, motor, base, best)
 
 

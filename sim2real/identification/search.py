@@ -10,14 +10,11 @@ import numpy as np
 
 from sim2real.arrays import Array, Index
 from sim2real.identification.problem import Fit, ServoProblem, plain_row
-from sim2real.inference.least_squares import Expansion, cannot_win, minimise, rms, robust_scale
+from sim2real.inference.least_squares import Expansion, cannot_win, minimise, rms
 from sim2real.inference.parameters import apart, column, kronecker
 from sim2real.servo.parameters import BASE, COLUMNS, INERTIA_LEFT_OUT, LINE, LOSSES, ROTOR
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace
-
-_SAME_SCALE = 0.05
-"""Relative change of the scale of the residual below which rounds end."""
 
 
 def fit(
@@ -33,40 +30,33 @@ def fit(
     rival: tuple[Fit, float] | None = None,
     rng: np.random.Generator | None = None,
     most: int = 8,
+    same_scale: float = 0.05,
 ) -> Fit:
     """Fit the free parameters of a servo from several starts (S, P).
 
     Levenberg-Marquardt searches run simultaneously; those that approach the minimum of a better one
     or fall ``behind`` it in log-likelihood end. The likelihood counts correlated residuals as fewer
     samples, so that misfit does not outweigh the prior; the scale of the residual is estimated
-    again after each round, and rounds end where it stays the same.
+    again after each of at most ``rounds``, which end where it stays the same.
 
-    Args:
-        problem: The problem.
-        starts: Servos from which searches start.
-        rounds: Largest number of rounds.
-        first: Largest number of evaluations of a search in the first round, with long sub-steps.
-        later: The same in later rounds.
-        last: The same of the best search alone, in the end.
-        effort: Multiplies these three.
-        behind: See above.
-        rival: Another fit, and by how much the first round must go below its loss: else the fit
-            ends there, not at its minimum.
-        rng: Generator for the neighbours by which ``most`` minima are ordered (``robust_order``)
-            where a servo may stick or just not; None for the order of their losses.
-        most: See ``rng``.
+    ``first`` is the largest number of evaluations of a search in the first round, with long
+    sub-steps, ``later`` that in later rounds, ``last`` that of the best search alone in the end;
+    ``effort`` multiplies all three. ``rival`` is another fit, and by how much the first round must
+    go below its loss: else the fit ends there, not at its minimum. ``rng`` draws the neighbours by
+    which ``most`` minima are ordered (``robust_order``), where a servo may stick or just not; by
+    default losses order them.
     """
     x = problem.searched(starts)
     error = problem.residuals(x)
-    noise = _noise(problem, error[np.argmin(np.mean(np.abs(error), axis=1))])
+    noise = problem.noise(error[np.argmin(np.mean(np.abs(error), axis=1))])
     for number in range(rounds):
         evaluations = round(effort * (later if number else first))
         x, loss, _ = search(problem, x, noise, evaluations, rough=not number, behind=behind)
         error = problem.residuals(x[:1])
-        scale, noise = noise[0], _noise(problem, error[0])
+        scale, noise = noise[0], problem.noise(error[0])
         x = x[loss < loss[0] + behind] if number else x
         x = x[apart(x, 0.1)]
-        if number and abs(noise[0] / scale - 1) < _SAME_SCALE:
+        if number and abs(noise[0] / scale - 1) < same_scale:
             break
         lower = rival[0].loss(*noise) - problem.loss(x[:1], error, *noise)[0] if rival else 0.0
         if rival is not None and not number and lower < rival[1]:
@@ -79,11 +69,6 @@ def fit(
     loss = problem.loss(x, problem.residuals(x), *noise)
     (error,), (slopes,) = problem.slopes(best, rough=False)
     return Fit(problem, x[0], error, slopes, *noise, converged, x[1:], loss[1:] - loss[0])
-
-
-def _noise(problem: ServoProblem, error: Array) -> tuple[float, float]:
-    """Scale of a residual (n,) in rad, and its inflation."""
-    return robust_scale(error), problem.inflation(error)
 
 
 def search(
@@ -99,11 +84,8 @@ def search(
     """Search from points (S, F), for a scale of the residual in rad and its inflation (``noise``).
 
     As of ``fit``; residuals, too, have the longer sub-steps of derivatives if ``rough``. A search
-    ends where it expects a decrease of half the loss below ``settled``.
-
-    Returns:
-        The points in ascending order of their losses, the losses (S,), and whether the search for
-        the best point converged.
+    ends where it expects a decrease of half the loss below ``settled``. Returns the points in
+    ascending order of their losses, the losses (S,), and whether the search for the best converged.
     """
     latest: dict[int, Array] = {}
 
@@ -130,9 +112,9 @@ def search(
         losses=losses,
         look_every=1,
     )
-    order = np.argsort(minimum.expansion.loss)
-    loss = 2 * minimum.expansion.loss[order]
-    return minimum.x[order], loss, bool(minimum.converged[order[0]])
+    loss = minimum.expansion.loss
+    order = np.argsort(loss)
+    return minimum.x[order], 2 * loss[order], bool(minimum.converged[order[0]])
 
 
 def robust_order(
