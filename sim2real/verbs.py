@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from sim2real.model import Model
     from sim2real.posterior.posteriors import Posteriors
     from sim2real.ranges.gather import Gathered
-    from sim2real.ranges.latency_split import LatencySplit
+    from sim2real.ranges.latency import LatencySplit
     from sim2real.recording import Recording
     from sim2real.robot import Density, Robot
     from sim2real.servo.prediction import Prediction
@@ -311,7 +311,7 @@ def latency(
     """
     from sim2real.importers.lerobot import with_episodes
     from sim2real.output import provenance
-    from sim2real.ranges.latency_split import split_latency, unknown_robot
+    from sim2real.ranges.latency import split_latency, unknown_robot
 
     check_whole("latency", "episodes", episodes, 1)
     listed = recordings_to_fit(with_episodes(recordings, episodes))

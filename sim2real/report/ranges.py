@@ -12,8 +12,7 @@ from sim2real.posterior.chain import LEAST_TIMES
 from sim2real.posterior.servo import LEVELS, PredictiveCheck, ServoPosterior
 from sim2real.ranges.entry import Ranges
 from sim2real.ranges.gather import Gathered
-from sim2real.ranges.latency import Latencies
-from sim2real.ranges.latency_split import Cause, LatencySplit
+from sim2real.ranges.latency import Cause, Latencies, LatencySplit
 from sim2real.ranges.population import TypeParameter
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Figure, Note, Section, Table, Text
