@@ -57,12 +57,12 @@ def rollout(
         theta: Parameters of B servos, shape (B, P), in the order of ``COLUMNS``.
         t: Times of commands and samples in s, shape (T,), increasing.
         command: Set-points in rad sent at ``t``, shape (T,); NaN where the torque is off.
-        measured: Measured angles in rad, shape (T,), of which those before the first change of the
-            command show where the servo starts; NaN where missing.
+        measured: Measured angles in rad, shape (T,), NaN where missing: those before the first
+            change of the command show where the servo starts.
         varying: Load that varies with time, around the mean inertia that ``theta`` has.
-        steps_per_radian: Sub-steps per radian of the fastest mode's phase.
-        substep_s: Longest sub-step in s, for all rows or of shape (B,); by default determined
-            by ``steps_per_radian``, at most 2 ms. A common value makes differences of rows smooth.
+        steps_per_radian: Sub-steps per radian of the fastest mode's phase, at most 2 ms long.
+        substep_s: Instead of it the longest sub-step in s, for all rows or of shape (B,). A common
+            value makes differences of rows smooth.
 
     Returns:
         Measured angles in rad at ``t``, shape (B, T).
