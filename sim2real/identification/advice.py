@@ -22,7 +22,7 @@ from sim2real.noise import ABOVE_NOISE
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Servo
 from sim2real.servo.linearised import fastest_visible_rad_s, ringing_rad_s
-from sim2real.servo.parameters import COLUMNS, INERTIA_LEFT_OUT, LINE
+from sim2real.servo.parameters import INERTIA_LEFT_OUT, LINE, LINE_COLUMNS
 from sim2real.servo.trace import Trace, firmware_gain, sensor_noise, traces
 from sim2real.units import readable_name
 
@@ -205,7 +205,7 @@ def on_motor(motor: Fit, spread: Uncertainty, servo: Servo) -> list[str]:
             "distinguish them"
         )
     if motor.law == "current_limited":
-        stall = float(motor.row[COLUMNS.index(LINE[0])])
+        stall = float(motor.row[LINE_COLUMNS[0]])
         notes.append(
             f"the torque is limited to {stall:.3g} N m at any speed, as "
             "by the drive's current: the no-load speed of the data sheet is no limit"

@@ -18,11 +18,10 @@ from sim2real.identification.priors import MotorPrior
 from sim2real.identification.problem import Fit, ServoProblem
 from sim2real.identification.search import fit, search
 from sim2real.inference.parameters import apart
-from sim2real.servo.parameters import BASE, COLUMNS, LINE, LOOP, ROTOR, beyond_load
+from sim2real.servo.parameters import BASE, COLUMNS, LINE_COLUMNS, LOOP, ROTOR_INERTIA, beyond_load
 from sim2real.servo.trace import Trace
 
 _KP, _KD, _LATENCY = (BASE.index(n) for n in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"))
-_STALL = COLUMNS.index(LINE[0])
 _LOOP = [COLUMNS.index(name) for name in LOOP]
 _RATES_HZ = (90.0, 1100.0)
 """Range of rates; faster loops are not distinguishable from continuous ones."""
@@ -85,7 +84,7 @@ def undetected_loop(motor: Fit, *, synchronous: float = 0.95) -> tuple[float, fl
     delay of the measurement is equivalent to other gains. None if set-points are sent at irregular
     times, or if the fit has a loop.
     """
-    if motor.row[COLUMNS.index(LOOP[0])] > 0:
+    if motor.row[_LOOP[0]] > 0:
         return None
     changes = [t.t[1:][np.diff(t.command) != 0] - t.t[0] for t in motor.problem.traces]
     times = np.concatenate(changes)
@@ -136,7 +135,10 @@ def _effect_of_delay(motor: Fit, trace: Trace, step: Index) -> Array:
     inertia = trace.load.inertia_kgm2 + float(beyond_load(motor.row))
     roots = np.roots([inertia, kd, kp + trace.load.gravity_Nm]).astype(complex)
     roots[1] += 1e-6 * abs(roots[1])  # they differ
-    change, stall = np.diff(trace.command, prepend=trace.command[0])[step], motor.row[_STALL]
+    change, stall = (
+        np.diff(trace.command, prepend=trace.command[0])[step],
+        motor.row[LINE_COLUMNS[0]],
+    )
     if stall > 0:
         change = np.clip(change, -stall / kp, stall / kp)
     since = np.maximum(trace.t[:, None] - trace.t[step] - latency, 0.0)
@@ -187,8 +189,8 @@ def _equivalent_gains(motor: Fit, period_s: float) -> tuple[float, float]:
     """
     row, half = motor.row, 0.5 * period_s
     kp, kd = (float(x) for x in row[[_KP, _KD]])
-    line = row[[COLUMNS.index(name) for name in LINE]]
+    line = row[LINE_COLUMNS]
     back_emf = line[0] / line[1] if line.all() else kd
-    inertia = motor.inertia + float(row[COLUMNS.index(ROTOR)])
+    inertia = motor.inertia + float(row[ROTOR_INERTIA])
     ratio = (1 + back_emf * half / inertia) / (1 + (kd + kp * half) * half / inertia)
     return ratio * kp, ratio * (kd + kp * half)

@@ -35,6 +35,7 @@ from sim2real.servo.parameters import (
     CURRENT_LIMIT,
     INERTIA_LEFT_OUT,
     LINE,
+    LINE_COLUMNS,
     LOOP,
     LOSSES,
     RATE_LIMIT,
@@ -46,7 +47,6 @@ from sim2real.servo.trace import Trace, fit_noise, shows_inertia
 
 EXPLAINED = 1.15
 """Ratio of residual to noise below which no more parameters are added."""
-_LINE = [COLUMNS.index(name) for name in LINE]
 
 
 def fit_plain(
@@ -230,16 +230,16 @@ def fit_limit(
         return line  # the drive is known, or the unit of torque is not
     options, speed = [line], prior[LINE[1]]
     plausible = min(speed.nominal + plausible_sd * speed.prior_sd, np.log(speed.high) - 1e-3)
-    if np.log(line.row[_LINE[1]]) > plausible:
+    if np.log(line.row[LINE_COLUMNS[1]]) > plausible:
         flat = prior.flat(float(plain.row[1]))
         start = line.row.copy()
-        start[_LINE[1]] = np.exp(flat[LINE[1]].nominal)
+        start[LINE_COLUMNS[1]] = np.exp(flat[LINE[1]].nominal)
         options.append(fit_motor(plain, flat, names, rng, start[None]))
     best = _likeliest(options)
     if BASE[0] in names and rms([best.error]) > EXPLAINED * fit_noise(traces):
         row = line.row.copy()
-        row[_LINE] = [np.exp(prior[name].nominal) for name in LINE]
-        values = row[_LINE[0]] * np.array(current_limits)
+        row[LINE_COLUMNS] = [np.exp(prior[name].nominal) for name in LINE]
+        values = row[LINE_COLUMNS[0]] * np.array(current_limits)
         best = _limited(best, row, prior, names, CURRENT_LIMIT, values, rng)
     return best
 

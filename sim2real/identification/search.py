@@ -12,9 +12,22 @@ from sim2real.arrays import Array, Index
 from sim2real.identification.problem import Fit, ServoProblem, plain_row
 from sim2real.inference.least_squares import Expansion, cannot_win, minimise, rms
 from sim2real.inference.parameters import apart, column, kronecker
-from sim2real.servo.parameters import BASE, COLUMNS, INERTIA_LEFT_OUT, LINE, LOSSES, ROTOR
+from sim2real.servo.parameters import (
+    BASE,
+    COLUMNS,
+    INERTIA_LEFT_OUT,
+    LINE,
+    LINE_COLUMNS,
+    LOSSES,
+    ROTOR,
+)
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace
+
+FREQUENCY_RAD_S = (2.0, 300.0)
+DAMPING_RATIO = (0.05, 4.0)
+LATENCY_S = (0.0, 0.3)
+"""Ranges of the natural frequency, damping ratio and latency of a first guess."""
 
 
 def fit(
@@ -161,13 +174,6 @@ def error_on(row: Array, traces: Sequence[Trace]) -> float | None:
     return rms(errors_of(row, traces)) if traces else None
 
 
-FREQUENCY_RAD_S = (2.0, 300.0)
-DAMPING_RATIO = (0.05, 4.0)
-LATENCY_S = (0.0, 0.3)
-"""Ranges of the natural frequency, damping ratio and latency of a first guess."""
-_LINE = [COLUMNS.index(name) for name in LINE]
-
-
 def first_guess(
     traces: Sequence[Trace],
     rng: np.random.Generator,
@@ -258,7 +264,7 @@ def drawn(
     if BASE[0] in problem.names:
         others = rows[half:]
         if set(LINE) <= set(problem.names):  # damping by the back-EMF
-            others[:, 1] = others[:, _LINE[0]] / others[:, _LINE[1]]
+            others[:, 1] = others[:, LINE_COLUMNS[0]] / others[:, LINE_COLUMNS[1]]
         others[:, 0] *= np.exp(rng.uniform(0.0, 1.2, len(others)))
         others[:, 1] *= np.exp(0.3 * rng.standard_normal(len(others)))
         others[:, 2] = rng.uniform(0.0, 1.05, len(others)) * np.maximum(others[:, 2], 0.01)

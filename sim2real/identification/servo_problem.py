@@ -15,13 +15,11 @@ from sim2real.inference import least_squares, selection
 from sim2real.inference.evidence import profile_loglikelihood
 from sim2real.inference.least_squares import OUTLIER_SD, Expansion
 from sim2real.servo.batch import Batch, Normal, Problems
-from sim2real.servo.parameters import COLUMNS, FIRST_COLUMN, LINE
+from sim2real.servo.parameters import COLUMNS, FIRST_COLUMN, LINE_COLUMNS
 from sim2real.servo.trace import Trace
 
 Set = frozenset[str]
 
-LINE_COLUMNS = np.array([COLUMNS.index(name) for name in LINE])
-"""Columns of a motor's line: stall torque, no-load speed."""
 _ASCENDING = [
     [COLUMNS.index(f"{effect.name}.{name}") for name in effect.ascending]
     for effect in CATALOGUE
