@@ -55,7 +55,7 @@ def predict(
             raise InputError(where, f"{joint}.command_rad", f"joint {joint}", f"one of {modelled}")
     if model.arm is not None:
         from sim2real.arm.arm_loads import predicted_arm
-        from sim2real.arm.multibody import Multibody
+        from sim2real.arm.description import Multibody
 
         return predicted_arm(Multibody(model.arm), model.joints, t, command)[1]
     angles = {}
