@@ -9,7 +9,6 @@ from itertools import compress
 import numpy as np
 
 from sim2real.effects import named
-from sim2real.identification.control_loop import undetected_loop
 from sim2real.identification.joint_fit import refitted
 from sim2real.identification.priors import MOTOR_SHEET, gains, of_effects
 from sim2real.identification.problem import Fit, ServoProblem
@@ -25,11 +24,6 @@ from sim2real.servo.linearised import fastest_visible_rad_s, ringing_rad_s
 from sim2real.servo.parameters import INERTIA_LEFT_OUT, LINE, LINE_COLUMNS
 from sim2real.servo.trace import Trace, firmware_gain, sensor_noise, traces
 from sim2real.units import readable_name
-
-_KEPT = 0.7
-"""Ratio of posterior to prior standard deviation above which a parameter counts as undetermined."""
-_MATERIAL = 0.05
-"""Share of the stated inertia below which a difference is attributed to measurement error."""
 
 
 def on_recordings(recordings: Sequence[Recording], still: Sequence[str]) -> tuple[str, ...]:
@@ -176,13 +170,15 @@ def on_data_sheet(servo: Servo) -> list[str]:
     ]
 
 
-def by_prior(motor: Fit, spread: Uncertainty) -> tuple[str, ...]:
-    """Names of the parameters of a motor that its prior determines, and not the recordings."""
+def by_prior(motor: Fit, spread: Uncertainty, *, kept: float = 0.7) -> tuple[str, ...]:
+    """Names of the parameters of a motor that its prior determines, and not the recordings.
+
+    They have at least the share ``kept`` of its standard deviation.
+    """
     problem = motor.problem
     prior_sd, nominal = (column(problem.parameters, name) for name in ("prior_sd", "nominal"))
     near = np.abs(motor.x * problem.unit - nominal) <= 2 * prior_sd
-    kept = spread.sd * problem.unit >= _KEPT * prior_sd
-    return tuple(compress(motor.names, near & kept))
+    return tuple(compress(motor.names, near & (spread.sd * problem.unit >= kept * prior_sd)))
 
 
 def on_motor(motor: Fit, spread: Uncertainty, servo: Servo) -> list[str]:
@@ -193,17 +189,6 @@ def on_motor(motor: Fit, spread: Uncertainty, servo: Servo) -> list[str]:
     notes = []
     if undetermined := [readable_name(name) for name in by_prior(motor, spread)]:
         notes.append(f"these recordings do not determine {', '.join(undetermined)}: the prior does")
-    loop = undetected_loop(motor)
-    if loop is not None:
-        period_s, loop_kp, loop_kd = loop
-        kp, kd = (float(x) for x in motor.row[:2])
-        notes.append(
-            "these recordings do not distinguish a control loop that is synchronous with their "
-            "samples from a continuous one, which is assumed: at "
-            f"{1 / period_s:.0f} Hz kp would be {loop_kp:.3g} instead of {kp:.3g} and "
-            f"kd {loop_kd:.3g} instead of {kd:.3g}; set-points sent at irregular times "
-            "distinguish them"
-        )
     if motor.law == "current_limited":
         stall = float(motor.row[LINE_COLUMNS[0]])
         notes.append(
@@ -247,14 +232,15 @@ def on_optima(best: Fit, spread: Uncertainty) -> list[str]:
 def on_inertia(fixed: Fit, scored: Sequence[Trace], stated: Load) -> list[str]:
     """A note where the data contradict the stated inertia, for instance because of a geared rotor.
 
-    It requires an inertia that differs significantly, and a better fit of held-out data as well.
+    It requires an inertia that differs significantly and by more than 5 %, as measured ones do, and
+    a better fit of held-out data as well.
     """
     free = refitted(fixed.problem.traces, fixed.row, [named("unmodelled_inertia")])
     spread = uncertainty(free, repeating=False)
     extra, sd = float(free.row[INERTIA_LEFT_OUT]), float(spread.sd[3] * free.problem.unit[3])
     before, after = (rms([f.error]) for f in (fixed, free))
     heldout = [error_on(f.row, scored) or 0.0 for f in (fixed, free)]
-    significant = abs(extra) > max(3 * sd, _MATERIAL * stated.inertia_kgm2)
+    significant = abs(extra) > max(3 * sd, 0.05 * stated.inertia_kgm2)
     if not significant or after > 0.95 * before or heldout[1] > heldout[0]:
         return []
     shift = 1e3 * (free.row[2] - fixed.row[2])

@@ -19,7 +19,6 @@ from sim2real.identification.problem import Fit
 from sim2real.identification.reading_noise import left_out, while_powered, with_reading_noise
 from sim2real.identification.search import error_on, errors_of, fit
 from sim2real.identification.uncertainty import (
-    GAINS,
     beyond_data_sheet,
     intervals,
     standard_errors,
@@ -32,7 +31,16 @@ from sim2real.output import provenance
 from sim2real.plausible import admitted
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo, match_recordings
-from sim2real.servo.parameters import BASE, COLUMNS, CONTROL_SIDE, LOOP, TRAINS, motor_of, stated
+from sim2real.servo.parameters import (
+    BASE,
+    COLUMNS,
+    CONTROL_SIDE,
+    GAINS,
+    LOOP,
+    TRAINS,
+    motor_of,
+    stated,
+)
 from sim2real.servo.trace import (
     Trace,
     at_one_gain,
@@ -262,7 +270,7 @@ def _identify_joint(
     } | figures
     notes += advice.on_fit(best, spread, ends, found.without_influence, figures, options.warned)
     known_by = {"by_prior": by_prior, "standard_error": standard_errors(best, spread, ends)}
-    told = {"interval": ends, "correlation": spread.by_pair(best.names), "notes": tuple(notes)}
+    told = {"interval": ends, "correlation": spread.correlation(best.names), "notes": tuple(notes)}
     return _joint_model(found, load, **told, **known_by), figures, held_out_name, best
 
 

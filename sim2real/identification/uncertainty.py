@@ -20,10 +20,8 @@ from sim2real.inference.normal import LEVEL
 from sim2real.inference.parameters import column
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
-from sim2real.servo.parameters import BASE, LINE, beyond_load
+from sim2real.servo.parameters import GAINS, LINE, beyond_load
 from sim2real.servo.trace import Trace
-
-GAINS = BASE[:2]
 
 
 @dataclass(frozen=True)
@@ -42,16 +40,12 @@ class Uncertainty:
         """Standard deviations, shape (F,)."""
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
-    @property
-    def correlation(self) -> Array:
-        """Correlations, shape (F, F)."""
-        size = np.outer(self.sd, self.sd)
-        return np.asarray(self.covariance / np.where(size > 0, size, 1.0))
-
-    def by_pair(self, names: Sequence[str]) -> dict[str, float]:
+    def correlation(self, names: Sequence[str]) -> dict[str, float]:
         """Correlation of each pair of parameters, by their names."""
+        size = np.outer(self.sd, self.sd)
+        values = self.covariance / np.where(size > 0, size, 1.0)
         pairs = combinations(range(len(names)), 2)
-        return {f"{names[i]}, {names[j]}": float(self.correlation[i, j]) for i, j in pairs}
+        return {f"{names[i]}, {names[j]}": float(values[i, j]) for i, j in pairs}
 
     @property
     def least_loss(self) -> float:

@@ -23,7 +23,8 @@ from sim2real.inference.variance_components import (
 )
 from sim2real.model import JointModel, Model
 from sim2real.ranges.entry import Range, Ranges, uniform
-from sim2real.ranges.sources import GAINS, parameters_of
+from sim2real.ranges.sources import parameters_of
+from sim2real.servo.parameters import GAINS
 from sim2real.units import unit_of
 
 _LATENCY = "latency_s"

@@ -15,10 +15,10 @@ from sim2real.posterior.servo import ServoPosterior
 from sim2real.ranges.entry import Range, normal, uniform
 from sim2real.recording import Recording
 from sim2real.robot import Density
+from sim2real.servo.parameters import GAINS
 from sim2real.structured import finite_number
 from sim2real.units import unit_of
 
-GAINS = ("kp_Nm_per_rad", "kd_Nms_per_rad")
 _STRIBECK_SPEED = "motor.stribeck_speed_rad_s"
 _FEWEST = 60
 """Smallest number of samples for an estimate of the noise."""

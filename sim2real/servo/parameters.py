@@ -17,6 +17,7 @@ _STIFFEST_RAD_S = 2.5e4
 """Fastest resonance, 4 kHz; stiffer springs are unstable with the shortest sub-step."""
 BASE = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s", "inertia_kgm2", "gravity_Nm")
 """Columns of the plain PD servo; ``gravity_Nm`` is the pendulum's torque held level."""
+GAINS = BASE[:2]
 
 LINE = ("motor.stall_torque_Nm", "motor.no_load_speed_rad_s")
 """A motor's torque-speed line."""

@@ -44,7 +44,7 @@ def test_its_widths_are_those_of_the_fit(given, found):
     expected = best.problem.values(best.x + [[0.0], [1.0]] * spread.sd)
     sd = found.values.std(axis=0)
     np.testing.assert_allclose(sd, np.abs(np.diff(expected, axis=0)[0]), rtol=0.15)
-    between = spread.correlation[[0, 0, 1], [1, 2, 2]]
+    between = list(spread.correlation(best.names).values())
     sampled = np.corrcoef(found.values.T)[[0, 0, 1], [1, 2, 2]]
     np.testing.assert_allclose(sampled, between, atol=0.1)
 
