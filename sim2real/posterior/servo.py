@@ -29,13 +29,10 @@ from sim2real.model import JointModel
 from sim2real.posterior.chain import (
     LEAST_TIMES,
     Chain,
-    Convergence,
     clear_leftovers,
-    convergence,
     new_chain,
     read_chain,
     run_chain,
-    sample,
 )
 from sim2real.recording import PER_INERTIA, Load
 from sim2real.robot import Servo
@@ -58,7 +55,6 @@ class ServoPosterior:
 
     problem: ServoProblem  # the recordings, and the F sampled parameters with their priors
     values: Array  # the sample, shape (N, F), ordered by step and then by walker
-    convergence: Convergence  # how well the chain has mixed
     optimum: Array  # values at the optimum, shape (F,)
     noise_sd: float  # robust standard deviation of the residual at the optimum in rad
     chain: Chain  # the chain, with all steps
@@ -150,7 +146,7 @@ def sample_servo(
     The search for the optimum starts from the model. ``steps`` are the most that each of the
     ``walkers`` takes, including those in ``file``, a chain that is continued if it exists: a chain
     of twice the length that is asked of it ends. ``level`` is the probability of the intervals;
-    ``convergence.reached`` of the sample tells whether the chain is long enough.
+    ``chain.reached`` of the sample tells whether the chain is long enough.
 
     Raises:
         InputError: If ``file`` is the chain of another problem, or there are too few walkers.
@@ -181,12 +177,10 @@ def sample_servo(
     progress(chain.steps)
     chain = run_chain(chain, log_posterior, steps, file, progress, spans=2 * LEAST_TIMES)
     progress(steps)
-    mixing = convergence(chain)
-    x = _folded(problem, centre + sample(chain, mixing) @ spread.T)
+    x = _folded(problem, centre + chain.sample() @ spread.T)
     return ServoPosterior(
         problem=problem,
         values=problem.values(np.clip(x, *problem.box)),
-        convergence=mixing,
         optimum=problem.values(centre),
         noise_sd=float(noise[0]),
         chain=chain,

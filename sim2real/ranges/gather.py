@@ -176,9 +176,9 @@ def sample_joints(
         if scored and scored[0].used.any():
             rng = np.random.default_rng([sampling.seed, number])
             checks[joint] = predictive_check(posteriors[joint], servo, fitted, scored[0], rng)
-    mixing = {joint: posterior.convergence for joint, posterior in posteriors.items()}
-    for joint in sorted(mixing, key=lambda name: (mixing[name].reached, -mixing[name].needed)):
-        require(mixing[joint], f"posterior of {joint}", posteriors[joint].names)
+    chains = {joint: posterior.chain for joint, posterior in posteriors.items()}
+    for joint in sorted(chains, key=lambda name: (chains[name].reached, -chains[name].needed)):
+        require(chains[joint], f"posterior of {joint}", posteriors[joint].names)
     return posteriors, checks
 
 

@@ -172,13 +172,13 @@ def posterior_table(joint: str, posterior: ServoPosterior) -> Table:
 def posterior_section(gathered: Gathered, joint: str) -> Section:
     """Chain, corner plot and predictive check of a joint with a posterior."""
     posterior = gathered.posteriors[joint]
-    mixing = posterior.convergence
+    mixing = posterior.chain
     lead = _CHAIN.format(
-        walkers=posterior.chain.accepted.size,
+        walkers=mixing.accepted.size,
         steps=mixing.steps,
         spans=mixing.spans,
         least=LEAST_TIMES,
-        accepted=100 * mixing.accepted,
+        accepted=100 * mixing.acceptance,
     )
     rows = [
         (printable(readable_name(prior.name)), str(prior), f"{time:.1f}")

@@ -34,7 +34,7 @@ def test_it_finds_the_servo_and_says_how_sure(found):
     low, middle, high = found.quantiles(0.01, 0.5, 0.99)
     assert (low < TRUTH).all() and (high > TRUTH).all()
     np.testing.assert_allclose(middle, TRUTH, rtol=0.01)
-    assert found.convergence.reached
+    assert found.chain.reached
     assert found.noise_sd == pytest.approx(simulated.NOISE, rel=0.15)
 
 
