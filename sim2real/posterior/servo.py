@@ -55,8 +55,6 @@ class ServoPosterior:
 
     problem: ServoProblem  # the recordings, and the F sampled parameters with their priors
     values: Array  # the sample, shape (N, F), ordered by step and then by walker
-    optimum: Array  # values at the optimum, shape (F,)
-    noise_sd: float  # robust standard deviation of the residual at the optimum in rad
     chain: Chain  # the chain, with all steps
     # parameters of effects that the recordings do not determine, which are held at the model's
     # values
@@ -181,8 +179,6 @@ def sample_servo(
     return ServoPosterior(
         problem=problem,
         values=problem.values(np.clip(x, *problem.box)),
-        optimum=problem.values(centre),
-        noise_sd=float(noise[0]),
         chain=chain,
         undetermined=held,
         level=level,
@@ -276,7 +272,7 @@ def predictive_check(
     trace = loaded(held_out, joint)
     without = replace(posterior.problem, traces=[loaded(one, joint) for one in fitted])
     start = without.row.copy()
-    start[without.columns] = posterior.optimum
+    start[without.columns] = without.values(posterior.chain.origin["centre"])
     best = fit(without, start[None], rounds=2)
     rows = np.tile(best.row, (draws, 1))
     x = best.x + rng.standard_normal((draws, best.x.size)) @ _factors(best)[1].T

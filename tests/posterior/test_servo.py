@@ -35,7 +35,7 @@ def test_it_finds_the_servo_and_says_how_sure(found):
     assert (low < TRUTH).all() and (high > TRUTH).all()
     np.testing.assert_allclose(middle, TRUTH, rtol=0.01)
     assert found.chain.reached
-    assert found.noise_sd == pytest.approx(simulated.NOISE, rel=0.15)
+    assert found.chain.origin["noise"][0] == pytest.approx(simulated.NOISE, rel=0.15)
 
 
 def test_its_widths_are_those_of_the_fit(given, found):
