@@ -165,7 +165,7 @@ def examined(job: tuple[str, int, int], *, steps: int) -> Row:
         chain = sample_servo(seen, model, servo, seed=job[2], steps=steps, walkers=40)
         each = zip(chain.names, chain.quantiles(0.5, 0.05, 0.95).T.tolist(), strict=True)
         row["posterior"] = {name: ends for name, ends in each if name in truth}
-        row["short"] = not chain.convergence.reached
+        row["short"] = not chain.chain.reached
     return row
 
 

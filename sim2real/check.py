@@ -11,7 +11,7 @@ from sim2real.clock import Timing, timing
 from sim2real.display import NotebookDisplay
 from sim2real.errors import RecordingFinding
 from sim2real.findings import joint_findings, measured_joint, merged, moves, recording_findings
-from sim2real.identification.expected_precision import expected_precision
+from sim2real.identification.advice import expected_precision
 from sim2real.plausible import validate_recording
 from sim2real.recording import Load, Recording
 from sim2real.robot import Robot

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from sim2real.model import Model
     from sim2real.posterior.posteriors import Posteriors
     from sim2real.ranges.gather import Gathered
-    from sim2real.ranges.latency_split import LatencySplit
+    from sim2real.ranges.latency import LatencySplit
     from sim2real.recording import Recording
     from sim2real.robot import Density, Robot
     from sim2real.servo.prediction import Prediction
@@ -98,7 +98,7 @@ def identify(
     """
     from tqdm import tqdm
 
-    from sim2real.arm.identify_arm import identify_arm
+    from sim2real.arm.arm_loads import identify_arm
     from sim2real.identification.identify import identify as identify_servos
 
     check_positive("identify", "effort", effort)
@@ -311,7 +311,7 @@ def latency(
     """
     from sim2real.importers.lerobot import with_episodes
     from sim2real.output import provenance
-    from sim2real.ranges.latency_split import split_latency, unknown_robot
+    from sim2real.ranges.latency import split_latency, unknown_robot
 
     check_whole("latency", "episodes", episodes, 1)
     listed = recordings_to_fit(with_episodes(recordings, episodes))

@@ -1,4 +1,4 @@
-"""Motion of an arm, and the load that it exerts on each shaft.
+"""Motion of an arm, the load that it exerts on each shaft, and identification of its servos.
 
 Coupled rollout: waveform relaxation. Each servo is simulated over the whole time under the load
 that the other joints' motions of the last iteration exert, until no motion changes. Lelarasmee,
@@ -7,22 +7,25 @@ Ruehli, Sangiovanni-Vincentelli, IEEE Transactions on Computer-Aided Design 1 (1
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from sim2real.arm.description import Arm
-from sim2real.arm.multibody import Multibody
+from sim2real.arm.description import Arm, Multibody
 from sim2real.arrays import Array
 from sim2real.effects import CATALOGUE
 from sim2real.errors import InputError
+from sim2real.identification.identify import identify
+from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording, VaryingLoad
 from sim2real.robot import Robot
 from sim2real.servo.parameters import (
     BASE,
+    COLUMNS,
     FIRST_COLUMN,
     INERTIA_LEFT_OUT,
     ROTOR_INERTIA,
@@ -30,12 +33,16 @@ from sim2real.servo.parameters import (
     joint_row,
 )
 from sim2real.servo.rollout import rollout
-from sim2real.servo.trace import context_of
+from sim2real.servo.trace import context_of, split, traces
 
 STEP_S = 0.002
 """Time between the values of a motion."""
 _LOAD = slice(BASE.index("inertia_kgm2"), BASE.index("gravity_Nm") + 1)
 _GAP = FIRST_COLUMN["backlash"]
+_SENSOR = np.isin(
+    [name.partition(".")[0] for name in COLUMNS], [e.name for e in CATALOGUE if e.site == "sensor"]
+)
+"""Which columns are those of effects of the sensor."""
 
 
 @dataclass(frozen=True)
@@ -100,10 +107,7 @@ def with_arm_loads(
 
 
 def predicted_arm(
-    multibody: Multibody,
-    joints: Mapping[str, JointModel],
-    t: Array,
-    command: Mapping[str, Array],
+    multibody: Multibody, joints: Mapping[str, JointModel], t: Array, command: Mapping[str, Array]
 ) -> tuple[ArmMotion, dict[str, Array]]:
     """Motion and measured angles of an arm that a model predicts from commands alone.
 
@@ -200,7 +204,8 @@ def _coupled(
 
     play = any(row is not None and row[_GAP] > 0 for row in rows)
     tolerance = impact_tolerance_rad if play else tolerance_rad
-    shafts = [None if row is None else _without_sensor(row) for row in rows]
+    # servos whose measured angles are those of their output shafts
+    shafts = [None if row is None else np.where(_SENSOR, 0.0, row) for row in rows]
     largest = np.inf
 
     def converged(motion: ArmMotion, cutoff_hz: float | None) -> ArmMotion | None:
@@ -242,21 +247,6 @@ def _without_gaps(command: Array) -> Array:
     return out
 
 
-def _without_sensor(row: Array) -> Array:
-    """A servo's parameters (P,) whose measured angle is that of the output shaft."""
-    out = row.copy()
-    for effect in CATALOGUE:
-        if effect.site == "sensor":
-            first = FIRST_COLUMN[effect.name]
-            out[first : first + len(effect.parameters)] = 0.0
-    return out
-
-
-def _rotor(row: Array) -> float:
-    """Inertia that turns with a link besides it; with play the rotor does not."""
-    return 0.0 if row[_GAP] > 0 else float(row[ROTOR_INERTIA] + row[INERTIA_LEFT_OUT])
-
-
 def _relaxation(
     multibody: Multibody, rows: Sequence[Array | None], angle: Array, *, poses: int = 50
 ) -> float:
@@ -268,8 +258,10 @@ def _relaxation(
     """
     some = angle[:: max(1, len(angle) // poses)]
     mass = multibody.mass_matrix(some)
-    mass += np.diag([0.0 if row is None else _rotor(row) for row in rows])
     free = [j for j, row in enumerate(rows) if row is not None]
+    for j, row in enumerate(rows):  # with play the rotor does not turn with the link
+        if row is not None and not row[_GAP] > 0:
+            mass[:, j, j] += row[ROTOR_INERTIA] + row[INERTIA_LEFT_OUT]
     mass = mass[:, free][:, :, free]
     scale = 1 / np.sqrt(np.einsum("kjj->kj", mass))
     eigenvalues = np.linalg.eigvalsh(scale[:, :, None] * mass * scale[:, None])
@@ -301,3 +293,62 @@ def _interpolated(t: Array, samples: Array, values: Array, otherwise: float) -> 
     first, last = samples[present][[0, -1]]
     spline = CubicSpline(samples[present], values[present])
     return np.asarray(spline(np.clip(t, first, last)))
+
+
+def identify_arm(
+    recordings: Sequence[Recording],
+    robot: Robot,
+    *,
+    rounds: int = 2,
+    held_out: str | None = None,
+    progress: Callable[[Sequence[str]], Sequence[str]] = lambda joints: joints,
+    **options: Any,  # noqa: ANN401 - those of ``identify``
+) -> Model:
+    """Identify every servo of an arm under the load of the arm's motion.
+
+    Each servo is fitted alone, under a known load: its inertia and torque follow from the URDF and
+    the motion of all joints. In the first round that motion is the smoothed measured one, in later
+    rounds what the fitted arm does, corrected by its slow error (``arm_loads``). ``progress`` is
+    called in every round; ``options`` and errors are those of ``identify``.
+
+    The held-out errors of the model are those of a coupled simulation, which uses no measured
+    angle; ``heldout_given_load`` is the error of each servo under its known load.
+    """
+    assert robot.arm is not None
+    model: Model | None = None
+    for k in range(rounds + 1):
+        loaded = with_arm_loads(recordings, robot, model)
+        settings = {**options, "held_out": held_out, "refit": k == rounds}
+        if k == rounds and model is not None:  # scored, and then fitted to all
+            figures = _coupled_figures(model, recordings, held_out)
+        fitted = identify(loaded, robot, progress=progress, **settings)
+        model = replace(fitted, arm=robot.arm)
+    assert model is not None
+    return replace(model, fit=figures)
+
+
+def _coupled_figures(
+    model: Model, recordings: Sequence[Recording], held_out: str | None
+) -> dict[str, Mapping[str, float | None]]:
+    """The errors of the fit, those on held-out data from a coupled simulation."""
+    scored = {joint: split(traces(recordings, joint), held_out)[1] for joint in model.joints}
+    files = {trace.file for held in scored.values() for trace in held}
+    assert model.arm is not None
+    multibody = Multibody(model.arm)
+    predicted = {
+        recording.file: predicted_arm(multibody, model.joints, recording.t, recording.commands)[1]
+        for recording in recordings
+        if recording.file in files
+    }
+    fit = dict(model.fit)
+    for joint, held in scored.items():
+        errors = [
+            (predicted[trace.file][joint][: trace.t.size] - trace.position)[trace.used]
+            for trace in held
+        ]
+        signal = f"{joint}.position_rad"
+        figures = dict(fit[signal])
+        figures["heldout_given_load"] = figures.get("heldout")
+        figures["heldout"] = rms(errors) if errors else None
+        fit[signal] = figures
+    return fit

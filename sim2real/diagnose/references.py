@@ -25,7 +25,7 @@ from sim2real.identification.joint_fit import EXPLAINED, choose_motor
 from sim2real.identification.priors import motor_prior, of_effects, plain_parameters
 from sim2real.identification.problem import Fit, ServoProblem
 from sim2real.identification.reading_noise import without_wrong_readings
-from sim2real.identification.search import fit
+from sim2real.identification.search import first_guess, fit
 from sim2real.identification.servo_problem import (
     Fits,
     Hypothesis,
@@ -36,7 +36,6 @@ from sim2real.identification.servo_problem import (
     minimise,
     plain_servos,
 )
-from sim2real.identification.starts import first_guess
 from sim2real.inference.correlated_noise import correlation_samples
 from sim2real.inference.least_squares import rms
 from sim2real.model import FittedEffect, JointModel, Model
@@ -85,7 +84,7 @@ def law_of(
     plain = fit(ServoProblem(references, starts[0], parameters), starts)
     if way_of(references, case) == "rest":
         return stated(plain.row, load)
-    motor = choose_motor(references, plain, servo, rng)
+    motor = choose_motor(plain, servo, rng)
     if rms([motor.error]) < EXPLAINED * sensor_noise(references):
         return stated(motor.row, load, motor.effects, motor.law)
     row = _with_losses(motor, servo)
@@ -148,9 +147,8 @@ def _not_searched(
 ) -> list[Finding]:
     """Findings of joints that are compared with their references: nothing as yet."""
     rows = [joint_row(x.model, x.references[0].load, x.name) for x in joints if x.model]
-    inertia = batch.load[batch.first_signal, 0]
     places = np.arange(len(joints))
-    plain = _evaluated(batch, plain_servos(places, np.array(rows), inertia, batch.period))
+    plain = _evaluated(batch, plain_servos(places, np.array(rows), batch.inertia, batch.period))
     cases = plain_sets(plain, [joint.base for joint in joints])
     without = unmodelled(batch, [x.traces for x in joints], joined([t.plain.fit for t in cases]))
     search = ServoSearch(batch, DECISION.false_alarms / len(joints), rng)

@@ -19,6 +19,7 @@ from sim2real.diagnose.free_parameters import (
 )
 from sim2real.diagnose.screening import Candidate, Screen, candidates, screen
 from sim2real.effects import named
+from sim2real.identification.search import servos_at
 from sim2real.identification.servo_problem import (
     Fits,
     Hypothesis,
@@ -29,7 +30,6 @@ from sim2real.identification.servo_problem import (
     plain_servos,
     stacked,
 )
-from sim2real.identification.starts import servos_at
 from sim2real.inference.evidence import occam_factor
 from sim2real.inference.parameters import kronecker
 from sim2real.model import JointModel
@@ -276,8 +276,8 @@ class ServoSearch:
 
     def strength(self, tried: Tried) -> tuple[float, float]:
         """The plain servo's gain and inertia."""
-        first = self.batch.first_signal[tried.case]
-        return float(tried.plain.fit.servos.theta[0, 0]), float(self.batch.load[first, 0])
+        kp = float(tried.plain.fit.servos.theta[0, 0])
+        return kp, float(self.batch.inertia[tried.case])
 
 
 def plain_sets(plain: Fits, bases: Sequence[Set] | None = None) -> list[Tried]:
@@ -328,8 +328,7 @@ def baselines(
 
     Starts are ``candidates`` servos, and ``given`` models, one a joint, where there are any.
     """
-    J, K = batch.recordings.size, candidates
-    inertia = batch.load[batch.first_signal, 0]
+    J, K, inertia = batch.inertia.size, candidates, batch.inertia
     theta = np.zeros((J, K, len(COLUMNS)))
     theta[:, :, :3] = servos_at(kronecker(K, 3, np.random.default_rng(0)), inertia[:, None])
     joint = np.repeat(np.arange(J, dtype=np.int32), K)
@@ -360,7 +359,7 @@ def plain_again(batch: Batch, known: Sequence[Tried]) -> Fits:
     """Fit the plain servos that are known of such a batch, one a joint, to this one."""
     servos = []
     for j, tried in enumerate(known):
-        plain, inertia = tried.plain.fit.servos, float(batch.load[batch.first_signal[j], 0])
+        plain, inertia = tried.plain.fit.servos, float(batch.inertia[j])
         servo = with_effects(plain, tried.base, plain.theta[0], inertia, tried.base)
         servos.append(servo.of_joints([j]))
     return minimise(batch, stacked(servos), iterations=12, blocks=BLOCKS)

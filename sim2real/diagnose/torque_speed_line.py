@@ -19,7 +19,6 @@ from sim2real.effects import named
 from sim2real.identification.problem import ServoProblem
 from sim2real.identification.servo_problem import (
     FLAT_COLUMNS,
-    LINE_COLUMNS,
     SATURATION,
     Hypothesis,
     Set,
@@ -31,7 +30,7 @@ from sim2real.identification.servo_problem import (
 from sim2real.model import Law
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
-from sim2real.servo.parameters import COLUMNS, stated
+from sim2real.servo.parameters import COLUMNS, LINE_COLUMNS, stated
 from sim2real.servo.trace import Trace
 
 _SET_POINT_SPEED = COLUMNS.index("rate_limit.limit_rad_s")
@@ -121,7 +120,7 @@ def _limits(
 def _fitted(search: ServoSearch, tried: Tried, members: Set, row: Array) -> Hypothesis:
     """The fit of a joint with these effects from a row (P,), whose line is free if it has one."""
     batch, j = search.batch, tried.case
-    inertia = batch.load[batch.first_signal[j], :1]
+    inertia = batch.inertia[[j]]
     plain = plain_servos(np.array([j]), row[None], inertia, batch.period, free_line=True)
     start = with_effects(plain, members, row, float(inertia[0]))
     fit = minimise(batch, start, iterations=15, blocks=BLOCKS)

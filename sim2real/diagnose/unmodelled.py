@@ -242,7 +242,7 @@ def _intermittent(
         if not any(found) or seconds >= most:
             return _NOWHERE
         kept = [_without(t, w) for t, w in zip(traces, found, strict=True)]
-        outside = Batch([kept], batch.threads)
+        outside = Batch([kept])
         white = minimise(outside, plain.servos.of_joints([0]), iterations=8, white=True)
         fit = minimise(outside, white.servos, iterations=8)
         if fit.count[0] <= outside.lags:  # too few samples outside explain nothing

@@ -9,25 +9,21 @@ from itertools import compress
 import numpy as np
 
 from sim2real.effects import named
-from sim2real.identification.control_loop import undetected_loop
 from sim2real.identification.joint_fit import refitted
-from sim2real.identification.problem import Fit
-from sim2real.identification.search import error_on, fit
+from sim2real.identification.priors import MOTOR_SHEET, gains, of_effects
+from sim2real.identification.problem import Fit, ServoProblem
+from sim2real.identification.search import error_on, first_guess, fit
 from sim2real.identification.uncertainty import Uncertainty, uncertainty
 from sim2real.inference.least_squares import rms
+from sim2real.inference.normal import Z90
 from sim2real.inference.parameters import column
 from sim2real.noise import ABOVE_NOISE
 from sim2real.recording import PER_INERTIA, Load, Recording
-from sim2real.robot import Robot, Servo
+from sim2real.robot import Servo
 from sim2real.servo.linearised import fastest_visible_rad_s, ringing_rad_s
-from sim2real.servo.parameters import COLUMNS, INERTIA_LEFT_OUT, LINE
-from sim2real.servo.trace import Trace, firmware_gain
+from sim2real.servo.parameters import INERTIA_LEFT_OUT, LINE, LINE_COLUMNS
+from sim2real.servo.trace import Trace, firmware_gain, sensor_noise, traces
 from sim2real.units import readable_name
-
-_KEPT = 0.7
-"""Ratio of posterior to prior standard deviation above which a parameter counts as undetermined."""
-_MATERIAL = 0.05
-"""Share of the stated inertia below which a difference is attributed to measurement error."""
 
 
 def on_recordings(recordings: Sequence[Recording], still: Sequence[str]) -> tuple[str, ...]:
@@ -165,25 +161,24 @@ def on_weight(plain: Fit, *, contradicted: float = 0.5) -> list[str]:
     return [f"kp, kd and every torque are in proportion to the stated pendulum {pendulum}"]
 
 
-def on_data_sheet(robot: Robot, joint: str, needed: Sequence[str]) -> list[str]:
+def on_data_sheet(servo: Servo) -> list[str]:
     """A note where the data sheet does not state what the law of a motor needs."""
-    described = robot.joint(joint)
-    if described is None:
-        return []
-    missing = " and ".join(name for name in needed if not described.servo.states(name))
+    missing = " and ".join(name for name in MOTOR_SHEET if not servo.states(name))
     return [
-        f"the linear law pd was fitted, as servo {described.servo.name} states no {missing}; with "
+        f"the linear law pd was fitted, as servo {servo.name} states no {missing}; with "
         "these values of the data sheet, the model also limits torque and speed in faster motions"
     ]
 
 
-def by_prior(motor: Fit, spread: Uncertainty) -> tuple[str, ...]:
-    """Names of the parameters of a motor that its prior determines, and not the recordings."""
+def by_prior(motor: Fit, spread: Uncertainty, *, kept: float = 0.7) -> tuple[str, ...]:
+    """Names of the parameters of a motor that its prior determines, and not the recordings.
+
+    They have at least the share ``kept`` of its standard deviation.
+    """
     problem = motor.problem
     prior_sd, nominal = (column(problem.parameters, name) for name in ("prior_sd", "nominal"))
     near = np.abs(motor.x * problem.unit - nominal) <= 2 * prior_sd
-    kept = spread.sd * problem.unit >= _KEPT * prior_sd
-    return tuple(compress(motor.names, near & kept))
+    return tuple(compress(motor.names, near & (spread.sd * problem.unit >= kept * prior_sd)))
 
 
 def on_motor(motor: Fit, spread: Uncertainty, servo: Servo) -> list[str]:
@@ -194,19 +189,8 @@ def on_motor(motor: Fit, spread: Uncertainty, servo: Servo) -> list[str]:
     notes = []
     if undetermined := [readable_name(name) for name in by_prior(motor, spread)]:
         notes.append(f"these recordings do not determine {', '.join(undetermined)}: the prior does")
-    loop = undetected_loop(motor)
-    if loop is not None:
-        period_s, loop_kp, loop_kd = loop
-        kp, kd = (float(x) for x in motor.row[:2])
-        notes.append(
-            "these recordings do not distinguish a control loop that is synchronous with their "
-            "samples from a continuous one, which is assumed: at "
-            f"{1 / period_s:.0f} Hz kp would be {loop_kp:.3g} instead of {kp:.3g} and "
-            f"kd {loop_kd:.3g} instead of {kd:.3g}; set-points sent at irregular times "
-            "distinguish them"
-        )
     if motor.law == "current_limited":
-        stall = float(motor.row[COLUMNS.index(LINE[0])])
+        stall = float(motor.row[LINE_COLUMNS[0]])
         notes.append(
             f"the torque is limited to {stall:.3g} N m at any speed, as "
             "by the drive's current: the no-load speed of the data sheet is no limit"
@@ -248,14 +232,15 @@ def on_optima(best: Fit, spread: Uncertainty) -> list[str]:
 def on_inertia(fixed: Fit, scored: Sequence[Trace], stated: Load) -> list[str]:
     """A note where the data contradict the stated inertia, for instance because of a geared rotor.
 
-    It requires an inertia that differs significantly, and a better fit of held-out data as well.
+    It requires an inertia that differs significantly and by more than 5 %, as measured ones do, and
+    a better fit of held-out data as well.
     """
     free = refitted(fixed.problem.traces, fixed.row, [named("unmodelled_inertia")])
     spread = uncertainty(free, repeating=False)
     extra, sd = float(free.row[INERTIA_LEFT_OUT]), float(spread.sd[3] * free.problem.unit[3])
     before, after = (rms([f.error]) for f in (fixed, free))
     heldout = [error_on(f.row, scored) or 0.0 for f in (fixed, free)]
-    significant = abs(extra) > max(3 * sd, _MATERIAL * stated.inertia_kgm2)
+    significant = abs(extra) > max(3 * sd, 0.05 * stated.inertia_kgm2)
     if not significant or after > 0.95 * before or heldout[1] > heldout[0]:
         return []
     shift = 1e3 * (free.row[2] - fixed.row[2])
@@ -265,3 +250,38 @@ def on_inertia(fixed: Fit, scored: Sequence[Trace], stated: Load) -> list[str]:
         f"{1e3 * after:.1f} mrad) and changes the latency by {shift:+.1f} ms; a rotor or arm may "
         "be missing from it, --effects unmodelled_inertia fits it"
     ]
+
+
+def expected_precision(recording: Recording, joint: str, *, seed: int = 0) -> tuple[str, ...]:
+    """Parameters of one joint that the recording can and cannot identify, one sentence each.
+
+    From the Fisher information of an approximate PD servo: half-widths of 90 % intervals if the
+    joint is a PD servo and the noise is independent.
+    """
+    moving = traces([recording], joint)
+    if not moving:
+        return ("nothing can be identified: the joint does not move under command",)
+    trace = moving[0]
+    start = first_guess(moving, np.random.default_rng(seed))[0]
+    inertia, kp = trace.load.inertia_kgm2, float(start[0])
+    names, parameters = ["kp", "kd", "latency", "inertia left out"], list(gains(inertia))
+    if trace.load is not PER_INERTIA and trace.load.gravity_Nm > 0:  # a pendulum
+        parameters += of_effects([named("unmodelled_inertia")], start, inertia)
+    problem = ServoProblem(moving, start, tuple(parameters))
+    x = problem.searched(start[None])
+    _, (slopes,) = problem.slopes(x, rough=False)
+    size = problem.unit * np.where(problem.log, problem.values(x)[0], 1.0)
+    unit = np.array([kp, max(start[1], 0.4 * np.sqrt(kp * inertia)), 0.05, inertia])[: size.size]
+    scaled = slopes / size * unit / sensor_noise([trace])
+    level, directions = np.linalg.eigh(scaled.T @ scaled)
+    sd = np.sqrt((directions**2) @ (1 / np.maximum(level, 1e-12)))
+    precise, units = [], ("N m/rad", "N m s/rad", "ms", "kg m2")
+    for k in np.flatnonzero(sd < 1).tolist():
+        half = Z90 * sd[k] * unit[k] * (1e3 if k == 2 else 1.0)
+        share = 100 * half / start[k] if k < 2 and start[k] > 0 else np.inf
+        how = f"{share:.2g} %" if share < 100 else f"{half:.2g} {units[k]}"
+        precise.append(f"{names[k]} to {how}")
+    per = " per unit of inertia" if trace.load is PER_INERTIA else ""
+    sentences = [f"can identify{per}: {', '.join(precise)}"] if precise else []
+    open_ones = [names[k] for k in np.flatnonzero(sd >= 1)]
+    return (*sentences, f"cannot identify: {', '.join(open_ones)}") if open_ones else (*sentences,)

@@ -18,11 +18,10 @@ from sim2real.identification.priors import MotorPrior
 from sim2real.identification.problem import Fit, ServoProblem
 from sim2real.identification.search import fit, search
 from sim2real.inference.parameters import apart
-from sim2real.servo.parameters import BASE, COLUMNS, LINE, LOOP, ROTOR, beyond_load
+from sim2real.servo.parameters import BASE, COLUMNS, LINE_COLUMNS, LOOP, ROTOR_INERTIA, beyond_load
 from sim2real.servo.trace import Trace
 
 _KP, _KD, _LATENCY = (BASE.index(n) for n in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"))
-_STALL = COLUMNS.index(LINE[0])
 _LOOP = [COLUMNS.index(name) for name in LOOP]
 _RATES_HZ = (90.0, 1100.0)
 """Range of rates; faster loops are not distinguishable from continuous ones."""
@@ -36,12 +35,13 @@ def fit_sampled_loop(
     first_steps: int = 8,
     best: int = 2,
     rounds: int = 3,
+    phases: int = 64,
 ) -> Fit | None:
     """Fit a sampled loop, without a test of its significance; None with too few large steps.
 
     The latency of the ``motor`` without a loop includes the mean wait for the next sample. All
     recordings are assumed to start at the same phase. After a search of ``first_steps`` for each
-    period, the ``best`` phases are searched on, in ``rounds``.
+    period, the ``best`` of ``phases`` earlier and later ones are searched on, in ``rounds``.
     """
     sent, delay, spread = _arrivals(motor)
     if sent.size < fewest:
@@ -58,8 +58,10 @@ def fit_sampled_loop(
     coarse = [ranked(_starts(motor, 1 / hz, sent, delay, spread))[:1] for hz in rates]
     row = _searched(problem, np.concatenate(coarse), noise, first_steps)
     for _ in range(rounds):
-        candidates = ranked(np.concatenate([row[None], _with_other_phases(row)]))
-        row = _searched(problem, candidates[:best], noise, 10)
+        others = np.tile(row, (phases + 1, 1))  # set-points wait for other samples
+        others[:, _LATENCY] -= np.linspace(-0.5, 0.5, phases + 1) * row[_LOOP[0]]
+        others[:, _LATENCY] = np.maximum(others[:, _LATENCY], 0.0)
+        row = _searched(problem, ranked(np.concatenate([row[None], others]))[:best], noise, 10)
     return fit(replace(problem, row=row), row[None], rounds=1, first=1)
 
 
@@ -72,32 +74,6 @@ def _searched(problem: ServoProblem, rows: Array, noise: tuple[float, float], st
         found.append((float(loss[0]), own.rows(x)[0]))
     best: Array = min(found, key=lambda pair: pair[0])[1]
     return best
-
-
-def undetected_loop(motor: Fit, *, synchronous: float = 0.95) -> tuple[float, float, float] | None:
-    """The slowest sampled loop that is not distinguishable from a continuous one.
-
-    Its samples are synchronous with the set-points, whose mean phase vector is longer than
-    ``synchronous``: the wait is then equal for all set-points and equivalent to latency, and the
-    delay of the measurement is equivalent to other gains.
-
-    Returns:
-        Its period in s and the gains kp and kd that it implies; None if set-points are sent at
-        irregular times, or if the fit has a loop.
-    """
-    if motor.row[COLUMNS.index(LOOP[0])] > 0:
-        return None
-    changes = [t.t[1:][np.diff(t.command) != 0] - t.t[0] for t in motor.problem.traces]
-    times = np.concatenate(changes)
-    if times.size < 2:
-        return None
-    sampling = float(np.median(np.concatenate([np.diff(t.t) for t in motor.problem.traces])))
-    for n in range(1, 1 + int(_RATES_HZ[1] * sampling)):
-        period = sampling / n
-        coherence = abs(np.exp(2j * np.pi * times / period).mean())
-        if coherence > synchronous and 1 / period >= _RATES_HZ[0]:
-            return period, *_equivalent_gains(motor, period)
-    return None
 
 
 def _arrivals(
@@ -136,7 +112,8 @@ def _effect_of_delay(motor: Fit, trace: Trace, step: Index) -> Array:
     inertia = trace.load.inertia_kgm2 + float(beyond_load(motor.row))
     roots = np.roots([inertia, kd, kp + trace.load.gravity_Nm]).astype(complex)
     roots[1] += 1e-6 * abs(roots[1])  # they differ
-    change, stall = np.diff(trace.command, prepend=trace.command[0])[step], motor.row[_STALL]
+    change = np.diff(trace.command, prepend=trace.command[0])[step]
+    stall = motor.row[LINE_COLUMNS[0]]
     if stall > 0:
         change = np.clip(change, -stall / kp, stall / kp)
     since = np.maximum(trace.t[:, None] - trace.t[step] - latency, 0.0)
@@ -168,35 +145,22 @@ def _rates(times: Array, spread: Array, *, count: int = 6) -> Array:
 def _starts(
     motor: Fit, period_s: float, sent: Array, delay: Array, spread: Array, *, count: int = 16
 ) -> Array:
-    """Servos (count, P) with a loop of this period and the arrivals' phase, of some latencies."""
+    """Servos (count, P) with a loop of this period and the arrivals' phase, of some latencies.
+
+    Their gains are equivalent to those of the fit without: a delay of half a period P makes the
+    torque kp (e + v P / 2) - (kd - b) (v - a P / 2) - b v, b from the back-EMF: less damping by the
+    first term, more inertia by the second.
+    """
     weight = np.exp(-2 * (np.pi * spread / period_s) ** 2)
     turn = np.angle((weight * np.exp(2j * np.pi * (sent + delay) / period_s)).sum())
     rows = np.tile(motor.row, (count, 1))
     shortest = float(np.median(delay)) - period_s * np.linspace(0, 1, count)
     rows[:, _LATENCY] = np.maximum(shortest, 0.0)
     rows[:, _LOOP] = period_s, (turn / (2 * np.pi) * period_s) % period_s
-    rows[:, [_KP, _KD]] = _equivalent_gains(motor, period_s)
-    return rows
-
-
-def _equivalent_gains(motor: Fit, period_s: float) -> tuple[float, float]:
-    """Gains kp, kd with a loop that are equivalent to those of the fit without.
-
-    A delay of half a period P makes the torque kp (e + v P / 2) - (kd - b) (v - a P / 2) - b v, b
-    from the back-EMF: less damping by the first term, more inertia by the second.
-    """
-    row, half = motor.row, 0.5 * period_s
-    kp, kd = (float(x) for x in row[[_KP, _KD]])
-    line = row[[COLUMNS.index(name) for name in LINE]]
+    half, line = 0.5 * period_s, motor.row[LINE_COLUMNS]
+    kp, kd = (float(x) for x in motor.row[[_KP, _KD]])
     back_emf = line[0] / line[1] if line.all() else kd
-    inertia = motor.inertia + float(row[COLUMNS.index(ROTOR)])
+    inertia = motor.inertia + float(motor.row[ROTOR_INERTIA])
     ratio = (1 + back_emf * half / inertia) / (1 + (kd + kp * half) * half / inertia)
-    return ratio * kp, ratio * (kd + kp * half)
-
-
-def _with_other_phases(row: Array, *, phases: int = 64) -> Array:
-    """Servos (phases + 1, P) in which set-points wait for earlier or later samples."""
-    shift = np.linspace(-0.5, 0.5, phases + 1) * row[_LOOP[0]]
-    rows = np.tile(row, (shift.size, 1))
-    rows[:, _LATENCY] = np.maximum(rows[:, _LATENCY] - shift, 0.0)
+    rows[:, [_KP, _KD]] = ratio * kp, ratio * (kd + kp * half)
     return rows

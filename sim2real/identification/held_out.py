@@ -26,16 +26,11 @@ _SEGMENTS = 2
 
 @dataclass(frozen=True)
 class Unseen:
-    """Residuals on held-out samples.
+    """Residuals on held-out samples."""
 
-    Attributes:
-        residuals: Simulated minus measured angles in rad, one array per fold.
-        theta: Parameters fitted to the other samples of each fold, shape (folds, P).
-        standardised: Residuals over their ``Trace.error_ratio``; none where they are the same.
-    """
-
-    residuals: tuple[Array, ...]
-    theta: Array
+    residuals: tuple[Array, ...]  # simulated minus measured angles in rad, one array per fold
+    theta: Array  # parameters fitted to the other samples of each fold, shape (folds, P)
+    # residuals over their ``Trace.error_ratio``; none where they are the same
     standardised: tuple[Array, ...] = ()
 
     @property
@@ -94,15 +89,8 @@ def held_out(
     """Refit each servo without each fold, and compute its residuals there.
 
     Refits are robust and assume white noise: a free noise model takes what is missing from a model
-    for noise, and predicts worse.
-
-    Args:
-        joints: Traces of each servo's joint.
-        servos: Servos with the parameters fitted to all samples, each of one row.
-        whole: As of ``folds``.
-
-    Returns:
-        One entry per servo; None where nothing can be held out.
+    for noise, and predicts worse. They start from ``servos`` with the parameters fitted to all
+    traces of their ``joints``, each of one row. None for those of which nothing can be held out.
     """
     pairs = [(n, pair) for n, traces in enumerate(joints) for pair in folds(traces, whole=whole)]
     if not pairs:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,18 +13,12 @@ from sim2real.effects import named
 from sim2real.effects.effect import Effect
 from sim2real.errors import InputError, check_choice, check_positive, check_whole, names_of
 from sim2real.identification import advice
-from sim2real.identification.joint_fit import (
-    choose_motor,
-    fit_effects,
-    fit_plain,
-)
+from sim2real.identification.joint_fit import choose_motor, fit_effects, fit_plain
 from sim2real.identification.priors import MOTOR_SHEET, gains
 from sim2real.identification.problem import Fit
 from sim2real.identification.reading_noise import left_out, while_powered, with_reading_noise
 from sim2real.identification.search import error_on, errors_of, fit
 from sim2real.identification.uncertainty import (
-    GAINS,
-    Uncertainty,
     beyond_data_sheet,
     intervals,
     standard_errors,
@@ -37,7 +31,16 @@ from sim2real.output import provenance
 from sim2real.plausible import admitted
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo, match_recordings
-from sim2real.servo.parameters import BASE, COLUMNS, CONTROL_SIDE, LOOP, TRAINS, motor_of, stated
+from sim2real.servo.parameters import (
+    BASE,
+    COLUMNS,
+    CONTROL_SIDE,
+    GAINS,
+    LOOP,
+    TRAINS,
+    motor_of,
+    stated,
+)
 from sim2real.servo.trace import (
     Trace,
     at_one_gain,
@@ -51,9 +54,6 @@ from sim2real.servo.trace import (
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-_SIDE_BY_SIDE = 2
-"""Number of joints fitted concurrently, to keep the processor busy between rollouts."""
 
 
 def identify(
@@ -86,7 +86,7 @@ def identify(
         check_choice("identify", "law", law, ("pd", "motor"))
     check_whole("identify", "seed", seed)
     check_positive("identify", "interval", interval, 1.0, "between 0 and 1")
-    extra = [named(effect) for effect in names_of("identify", "effects", effects)]
+    extra = tuple(named(effect) for effect in names_of("identify", "effects", effects))
     _check_inputs(recordings, robot, held_out)
     recordings, warnings = admitted(at_one_gain(recordings), robot)
     recorded = [j.name for j in robot.joints if any(j.name in r.joints for r in recordings)]
@@ -95,18 +95,12 @@ def identify(
         place = f"{recorded[0]}.position_rad"
         found, expected = "no motion", "commands and angles that change"
         raise InputError(recordings[0].file, place, found, expected)
-    options = _Options(tuple(extra), effort, interval, refit, bool(warnings))
-
-    def identify_joint(joint: str) -> tuple[JointModel, dict[str, float | None], str, Fit]:
-        data, notes = with_reading_noise(traces(recordings, joint), slow=True), list[str]()
-        servo = _servo(robot, joint, law or ("pd" if extra else None))
-        check_samples(split(data, held_out)[0], joint)
-        if law is None and not extra and servo is None:
-            notes = advice.on_data_sheet(robot, joint, MOTOR_SHEET)
-        return _identify_joint(data, held_out, servo, seed + moving.index(joint), notes, options)
-
-    with ThreadPoolExecutor(_SIDE_BY_SIDE) as pool:
-        running = {joint: pool.submit(identify_joint, joint) for joint in moving}
+    options = _Options(law, held_out, extra, effort, interval, refit, bool(warnings))
+    with ThreadPoolExecutor(2) as pool:  # to keep the processor busy between rollouts
+        running = {
+            joint: pool.submit(_identify_joint, recordings, robot, joint, options, seed + k)
+            for k, joint in enumerate(moving)
+        }
         results = {joint: running[joint].result() for joint in progress(moving)}
     inputs = [r.path for r in recordings if r.path] + ([robot.path] if robot.path else [])
     origin = provenance(inputs, seed)
@@ -124,21 +118,10 @@ def identify(
 def fitted_joint(data: list[Trace], servo: Servo | None, seed: int = 0) -> JointModel:
     """The model of one joint as of ``identify``, without intervals and notes."""
     sheet = servo if servo is not None and servo.states(*MOTOR_SHEET) else None
-    data, found = _fits_while_powered(data, None, sheet, _Options(), seed)
+    data, found = _fits_while_powered(data, sheet, _Options(), seed)
     if split(data, None)[1]:
         found = _fits(data, sheet, _Options(), seed, found)
-    return _joint_model(found, {}, None, data[0].load, ())
-
-
-def _servo(robot: Robot, joint: str, law: Law | None) -> Servo | None:
-    """The joint's data sheet; None for the linear law.
-
-    The default law is that of the motor if the data sheet states the values that it needs.
-    """
-    described = robot.joint(joint)
-    if law == "pd" or described is None:
-        return None
-    return described.servo if law == "motor" or described.servo.states(*MOTOR_SHEET) else None
+    return _joint_model(found, data[0].load)
 
 
 def _check_inputs(recordings: Sequence[Recording], robot: Robot, held_out: str | None) -> None:
@@ -162,6 +145,8 @@ def _check_inputs(recordings: Sequence[Recording], robot: Robot, held_out: str |
 class _Options:
     """Settings of ``identify`` that are the same for all joints, and whether there are warnings."""
 
+    law: Law | None = None
+    held_out: str | None = None
     effects: tuple[Effect, ...] = ()
     effort: float = 1.0
     interval: float = LEVEL
@@ -202,45 +187,44 @@ def _fits(
     if servo is not None and not without_influence:
         losses = not effects or data[0].varying is None
         fewer = None if before is None else before.motor
-        motor = choose_motor(
-            data, plain, servo, rng, losses=losses, set_points=not effects, before=fewer
-        )
+        motor = choose_motor(plain, servo, rng, losses=losses, set_points=not effects, before=fewer)
     base = best = motor if motor is not None and BASE[0] in motor.names else plain
     if effects:
-        best = fit_effects(data, base, effects, rng) if before is None else again(before.best)
+        best = fit_effects(base, effects, rng) if before is None else again(before.best)
     return _JointFits(plain, without_influence, motor, base, best)
 
 
 def _fits_while_powered(
-    data: list[Trace], held_out: str | None, servo: Servo | None, options: _Options, seed: int
+    data: list[Trace], servo: Servo | None, options: _Options, seed: int
 ) -> tuple[list[Trace], _JointFits]:
-    """The traces without releases of the servo, and the fits to those not held out.
-
-    A release is one for the linear servo and for the motor, which may have the friction that holds
-    the shaft; both are fitted again without it, and tell better then.
-    """
-    kept, found = data, _fits(split(data, held_out)[0], servo, options, seed)
+    """The traces without releases of the servo, and the fits to those not held out."""
+    # A release is one for the linear servo and for the motor, which may have the friction that
+    # holds the shaft; both are fitted again without it, and tell better then.
+    kept, found = data, _fits(split(data, options.held_out)[0], servo, options, seed)
     for _ in range(2):
         powered = while_powered(data, found.plain.row, found.best.row)
         if all((a.used == b.used).all() for a, b in zip(powered, kept, strict=True)):
             break
         kept = powered
-        found = _fits(split(kept, held_out)[0], servo, options, seed)
+        found = _fits(split(kept, options.held_out)[0], servo, options, seed)
     return kept, found
 
 
 def _identify_joint(
-    data: list[Trace],
-    held_out: str | None,
-    servo: Servo | None,
-    seed: int,
-    notes: list[str],
-    options: _Options,
+    recordings: Sequence[Recording], robot: Robot, joint: str, options: _Options, seed: int
 ) -> tuple[JointModel, dict[str, float | None], str, Fit]:
-    """The model of one joint, its errors and what was held out for them."""
+    """The model of one joint, its errors, what was held out for them, and the fit."""
+    data, notes = with_reading_noise(traces(recordings, joint), slow=True), list[str]()
+    check_samples(split(data, options.held_out)[0], joint)
+    described, servo = robot.joint(joint), None
+    if described is not None and options.law != "pd":
+        if options.law == "motor" or not options.effects and described.servo.states(*MOTOR_SHEET):
+            servo = described.servo
+        elif not options.effects:
+            notes += advice.on_data_sheet(described.servo)
     load, pendulum = data[0].load, shows_inertia(data)
-    data, found = _fits_while_powered(data, held_out, servo, options, seed)
-    _, scored, held_out_name = split(data, held_out)
+    data, found = _fits_while_powered(data, servo, options, seed)
+    _, scored, held_out_name = split(data, options.held_out)
     notes += left_out(data)
     figures = {"heldout": error_on(found.best.row, scored)}
     if options.effects:
@@ -285,9 +269,9 @@ def _identify_joint(
         "robust_outliers": float(np.mean(np.abs(best.error) > 4 * best.scale_rad)),
     } | figures
     notes += advice.on_fit(best, spread, ends, found.without_influence, figures, options.warned)
-    joint = _joint_model(found, ends, spread, load, tuple(notes))
-    joint = replace(joint, by_prior=by_prior, standard_error=standard_errors(best, spread, ends))
-    return joint, figures, held_out_name, best
+    known_by = {"by_prior": by_prior, "standard_error": standard_errors(best, spread, ends)}
+    told = {"interval": ends, "correlation": spread.correlation(best.names), "notes": tuple(notes)}
+    return _joint_model(found, load, **told, **known_by), figures, held_out_name, best
 
 
 def _residuals(fits: Mapping[str, Fit]) -> DataFrame:
@@ -303,13 +287,8 @@ def _residuals(fits: Mapping[str, Fit]) -> DataFrame:
     return concat(parts, ignore_index=True)
 
 
-def _joint_model(
-    found: _JointFits,
-    ends: dict[str, tuple[float, float]],
-    spread: Uncertainty | None,
-    load: Load,
-    notes: tuple[str, ...],
-) -> JointModel:
+def _joint_model(found: _JointFits, load: Load, **told: Any) -> JointModel:  # noqa: ANN401
+    """The model of a joint, with these further fields."""
     best, motor = found.best, found.motor
     of_law = motor.effects if motor is not None else ()
     effects = {fitted.effect: dict(fitted.parameters) for fitted in of_law}
@@ -321,13 +300,10 @@ def _joint_model(
         if effect in TRAINS and (side := best.row[COLUMNS.index(f"{effect}.{CONTROL_SIDE}")]):
             values[CONTROL_SIDE] = float(side)
     model = stated(best.row, load, [FittedEffect(*entry) for entry in effects.items()])
-    correlation = {} if spread is None else spread.by_pair(best.names)
     fitted = motor is None or any(name.startswith("motor.") for name in best.names)
     return replace(
         model,
         law="pd" if motor is None else motor.law,
         motor=motor_of(best.row if fitted or motor is None else motor.row),
-        interval=ends,
-        correlation=correlation,
-        notes=notes,
+        **told,
     )

@@ -22,8 +22,7 @@ from sim2real.identification.priors import (
     scale_inertia,
 )
 from sim2real.identification.problem import Fit, ServoProblem, plain_row
-from sim2real.identification.search import fit
-from sim2real.identification.starts import drawn, first_guess
+from sim2real.identification.search import drawn, first_guess, fit
 from sim2real.inference.correlated_noise import whiteness
 from sim2real.inference.least_squares import rms
 from sim2real.recording import PER_INERTIA
@@ -36,6 +35,7 @@ from sim2real.servo.parameters import (
     CURRENT_LIMIT,
     INERTIA_LEFT_OUT,
     LINE,
+    LINE_COLUMNS,
     LOOP,
     LOSSES,
     RATE_LIMIT,
@@ -47,7 +47,6 @@ from sim2real.servo.trace import Trace, fit_noise, shows_inertia
 
 EXPLAINED = 1.15
 """Ratio of residual to noise below which no more parameters are added."""
-_LINE = [COLUMNS.index(name) for name in LINE]
 
 
 def fit_plain(
@@ -97,15 +96,14 @@ def refitted(traces: Sequence[Trace], row: Array, effects: Sequence[Effect] = ()
     return fit(ServoProblem(traces, row, free), starts)
 
 
-def fit_effects(
-    traces: Sequence[Trace], plain: Fit, effects: Sequence[Effect], rng: np.random.Generator
-) -> Fit:
-    """Fit gains, latency and the parameters of effects to all traces at once.
+def fit_effects(plain: Fit, effects: Sequence[Effect], rng: np.random.Generator) -> Fit:
+    """Fit gains, latency and the parameters of effects to the recordings of a fit without them.
 
     The loss has several minima where effects act on contact or at a limit, and the plain fit
     absorbs part of them: hence the many starts. The controller of a gear train sees the motor or
     the output, whichever fits better, and its flanks do not rebound.
     """
+    traces = plain.problem.traces
     # on an arm the load is what the rotor is not
     load = () if traces[0].varying is None else ("rotor_inertia_kgm2",)
     known = (*load, CONTROL_SIDE, "restitution")
@@ -125,7 +123,6 @@ def fit_effects(
 
 
 def choose_motor(
-    traces: Sequence[Trace],
     plain: Fit,
     servo: Servo,
     rng: np.random.Generator,
@@ -153,11 +150,12 @@ def choose_motor(
     Without ``losses``, as where effects are fitted instead, the motor's line and rotor are fitted.
     A residual whose lag-1 autocorrelation is below ``white`` counts as white.
     """
+    traces = plain.problem.traces
     if before is not None and LOOP[0] in before.names:
         return fit(replace(before.problem, traces=traces), before.minima, rounds=3, first=10)
     noise, prior = fit_noise(traces), motor_prior(servo, traces)
     if traces[0].varying is None and rms([plain.error]) < EXPLAINED * noise:
-        return fit_limit(traces, plain, prior, LINE, rng)
+        return fit_limit(plain, prior, LINE, rng)
 
     def with_set_point_limit(best: Fit) -> Fit:
         explained = rms([best.error]) < EXPLAINED * noise or RATE_LIMIT in best.names
@@ -169,30 +167,30 @@ def choose_motor(
 
     names: tuple[str, ...] = (*BASE[:3], *LINE)
     if not losses:
-        return fit_motor(traces, plain, prior, (*names, ROTOR), rng)
+        return fit_motor(plain, prior, (*names, ROTOR), rng)
     if shows_inertia(traces):
         names = (*names, ROTOR)
     if before is None or BASE[0] not in before.names:
-        best = fit_limit(traces, plain, prior, names, rng)
+        best = fit_limit(plain, prior, names, rng)
         # Without it a servo that limits its set-points seems heavier and its motor slower.
         best = with_set_point_limit(best)
     else:
         names = tuple(dict.fromkeys((*names, *before.names)))
         known = prior if before.law == "motor" else prior.flat(float(plain.row[1]))
-        best = fit_motor(traces, plain, known, names, rng, before.minima)
+        best = fit_motor(plain, known, names, rng, before.minima)
     if best.law == "current_limited":
         prior = prior.flat(float(plain.row[1]))
     for part in (LOSSES, SOFT) if before is None else (LOSSES,):
         if rms([best.error]) < EXPLAINED * noise or part[0] in best.names:
             break
-        more = fit_motor(traces, best, prior, (*best.names, *part), rng)
+        more = fit_motor(best, prior, (*best.names, *part), rng)
         if not _better(best, more, len(part)):
             break
         best = more
     best = with_set_point_limit(best)  # friction hides it, too
     if before is None and CURRENT_LIMIT in best.names:  # fitted first, where others were missing
         fewer = [name for name in best.names if name != CURRENT_LIMIT]
-        without = fit_motor(traces, best, prior, fewer, rng, best.minima)
+        without = fit_motor(best, prior, fewer, rng, best.minima)
         best = best if _better(without, best, 1) else without
     ratio = rms([best.error]) / noise
     explained = ratio < EXPLAINED and whiteness(best.residuals) < white
@@ -205,7 +203,6 @@ def choose_motor(
 
 
 def fit_limit(
-    traces: Sequence[Trace],
     plain: Fit,
     prior: MotorPrior,
     names: Sequence[str],
@@ -227,21 +224,22 @@ def fit_limit(
     ``names`` are the columns to fit, those of the line among them; the gains are those of the
     linear servo if they are not.
     """
-    line = fit_motor(traces, plain, prior, names, rng)
+    line = fit_motor(plain, prior, names, rng)
+    traces = plain.problem.traces
     if prior.ties.drive is not None or traces[0].load is PER_INERTIA:
         return line  # the drive is known, or the unit of torque is not
     options, speed = [line], prior[LINE[1]]
     plausible = min(speed.nominal + plausible_sd * speed.prior_sd, np.log(speed.high) - 1e-3)
-    if np.log(line.row[_LINE[1]]) > plausible:
+    if np.log(line.row[LINE_COLUMNS[1]]) > plausible:
         flat = prior.flat(float(plain.row[1]))
         start = line.row.copy()
-        start[_LINE[1]] = np.exp(flat[LINE[1]].nominal)
-        options.append(fit_motor(traces, plain, flat, names, rng, start[None]))
+        start[LINE_COLUMNS[1]] = np.exp(flat[LINE[1]].nominal)
+        options.append(fit_motor(plain, flat, names, rng, start[None]))
     best = _likeliest(options)
     if BASE[0] in names and rms([best.error]) > EXPLAINED * fit_noise(traces):
         row = line.row.copy()
-        row[_LINE] = [np.exp(prior[name].nominal) for name in LINE]
-        values = row[_LINE[0]] * np.array(current_limits)
+        row[LINE_COLUMNS] = [np.exp(prior[name].nominal) for name in LINE]
+        values = row[LINE_COLUMNS[0]] * np.array(current_limits)
         best = _limited(best, row, prior, names, CURRENT_LIMIT, values, rng)
     return best
 
@@ -258,12 +256,11 @@ def _limited(
     """A fit, or the likelier one with a limit, from ``row`` (P,), that the recordings determine."""
     starts = np.tile(row, (len(values), 1))
     starts[:, COLUMNS.index(limit)] = values
-    more = fit_motor(best.problem.traces, best, prior, (*names, limit), rng, starts)
+    more = fit_motor(best, prior, (*names, limit), rng, starts)
     return _likeliest([best, more]) if more.told(limit) else best
 
 
 def fit_motor(
-    traces: Sequence[Trace],
     base: Fit,
     prior: MotorPrior,
     names: Sequence[str],
@@ -272,13 +269,14 @@ def fit_motor(
 ) -> Fit:
     """Fit the columns ``names`` of a motor; gains that are not among them are those of ``base``.
 
-    Searches start from the servos ``starts`` (S, P), by default from draws about ``base``, a fit
-    with fewer columns. Those for losses end early where they promise too little to be ``_better``.
+    Searches start from the servos ``starts`` (S, P), by default from draws about ``base``, a fit of
+    fewer columns to the same recordings. Those for losses end early where they promise too little
+    to be ``_better``.
     """
     row = plain_row(0.0, 0.0, 0.0)
     if BASE[0] not in names:
         row[:3] = base.row[:3]
-    problem = ServoProblem(traces, row, prior.of(names), prior.ties)
+    problem = ServoProblem(base.problem.traces, row, prior.of(names), prior.ties)
     lossy = not set(LOSSES).isdisjoint(names)
     if not lossy:
         starts = drawn(problem, base, rng, draws=64, most=4) if starts is None else starts

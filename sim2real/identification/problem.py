@@ -11,7 +11,7 @@ import numpy as np
 from sim2real.arrays import Array, Mask
 from sim2real.identification.priors import Ties, scale_inertia
 from sim2real.inference.correlated_noise import correlation_samples
-from sim2real.inference.least_squares import OUTLIER_SD, Expansion, robust_loss
+from sim2real.inference.least_squares import OUTLIER_SD, Expansion, robust_loss, robust_scale
 from sim2real.inference.parameters import Parameter, column
 from sim2real.model import FittedEffect, Law
 from sim2real.servo.motor import MOTOR_BIT
@@ -86,16 +86,10 @@ class ServoProblem:
     @cached_property
     def smooth(self) -> bool:
         """Whether longer sub-steps are stable: damping by an effect may not be with them."""
-        servo = self._with_all
+        servo = self.row[None].copy()
+        servo[0, self.columns] = 1.0  # no free parameter is absent
         servo[0, [COLUMNS.index(name) for name in _LIMITS]] = 0.0  # add no torque
         return not np.any(active_effects(servo) & ~MOTOR_BIT)
-
-    @property
-    def _with_all(self) -> Array:
-        """A servo in which no free parameter is absent, shape (1, P)."""
-        servo = self.row[None].copy()
-        servo[0, self.columns] = 1.0
-        return servo
 
     def values(self, x: Array) -> Array:
         """Free parameters in SI units, shape (..., F)."""
@@ -118,12 +112,9 @@ class ServoProblem:
     def searched(self, rows: Array) -> Array:
         """Points of servos (B, P), kept within the bounds; absent logarithmic ones are nominal."""
         values = rows[:, self.columns]
-        logs = np.where(values > 0, np.log(np.maximum(values, 1e-300)), self._nominal)
+        nominal = column(self.parameters, "nominal")
+        logs = np.where(values > 0, np.log(np.maximum(values, 1e-300)), nominal)
         return np.clip(np.where(self.log, logs, values) / self.unit, *self.box)
-
-    @cached_property
-    def _nominal(self) -> Array:
-        return column(self.parameters, "nominal")
 
     def residuals(self, x: Array, *, rough: bool = False) -> Array:
         """Simulated minus measured angles at the used samples of all traces, (B, F) to (B, n).
@@ -171,8 +162,8 @@ class ServoProblem:
 
     def terms(self, x: Array) -> Array:
         """The prior's residuals, (B, F) to (B, m); half their sum of squares is minus its log."""
-        searched, sd = x * self.unit, column(self.parameters, "prior_sd")
-        parts = (searched - self._nominal) / sd
+        nominal, sd = (column(self.parameters, field) for field in ("nominal", "prior_sd"))
+        parts = (x * self.unit - nominal) / sd
         if self.ties is None or not set(LINE) <= set(self.names):
             return parts
         return np.hstack([parts, self.ties.terms(self.rows(x))])
@@ -189,6 +180,10 @@ class ServoProblem:
         """
         data = robust_loss(error / scale, OUTLIER_SD) / inflation
         return np.asarray(data + (self.terms(x) ** 2).sum(axis=1))
+
+    def noise(self, error: Array) -> tuple[float, float]:
+        """Scale of a residual (n,) in rad, and its ``inflation``."""
+        return robust_scale(error), self.inflation(error)
 
     def inflation(self, error: Array) -> float:
         """Number of samples of a residual (n,) per independent sample."""
@@ -326,10 +321,7 @@ class Fit:
         return np.asarray(self.slopes.T @ self.slopes / variance + self.prior)
 
     def told(self, name: str, *, share: float = 0.7) -> bool:
-        """Whether the recordings, and not only the prior, determine a parameter.
-
-        Its standard deviation is then less than this ``share`` of that of the prior.
-        """
+        """Whether a parameter's standard deviation is less than a ``share`` of its prior's."""
         k, problem = self.names.index(name), self.problem
         variance = float(np.linalg.pinv(self.information(), hermitian=True)[k, k])
         sd = variance**0.5 * problem.unit[k]

@@ -21,11 +21,6 @@ from sim2real.noise import divided_differences
 from sim2real.readings import wrong_readings
 from sim2real.servo.trace import Trace, sensor_noise
 
-_ORDERS = (4, 5, 6)
-"""Orders of divided differences, which cancel polynomial motion of lower degree."""
-_GROUPS, _FEWEST = 8, 20
-"""Groups of readings of similar speed, and readings that each has at least."""
-
 
 def with_reading_noise(traces: Sequence[Trace], *, slow: bool = False) -> list[Trace]:
     """The traces without wrong readings, with the spread of the noise of the others.
@@ -92,10 +87,7 @@ def while_powered(traces: Sequence[Trace], *rows: Array, least_share: float = 0.
     for row in rows:
         for used, trace, error in zip(left, traces, errors_of(row, traces), strict=True):
             used |= without_releases(trace, trace.simulated(error)).used
-    remaining, whole = (
-        sum(int(x.sum()) for x in some) for some in (left, [t.used for t in traces])
-    )
-    if remaining < least_share * whole:
+    if sum(map(np.sum, left)) < least_share * sum(t.used.sum() for t in traces):
         return list(traces)
     return [replace(trace, used=used) for trace, used in zip(traces, left, strict=True)]
 
@@ -105,17 +97,17 @@ def left_out(traces: Sequence[Trace]) -> Iterator[str]:
     for trace in traces:
         wrong = wrong_readings(trace.position) & np.isfinite(trace.position)
         if wrong.any():
-            count = int(wrong.sum())
+            count, times = int(wrong.sum()), trace.t[wrong]
             readings = "one reading" if count == 1 else f"{count} readings"
+            at = ", ".join(f"{t:.2f}" for t in times[:3]) + ", ..." * (count > 3)
             yield (
-                f"{readings} of {trace.name} left out, far from those before and after: "
-                f"{_at(trace.t[wrong])}"
+                f"{readings} of {trace.name} left out, far from those before and after: at {at} s."
             )
         lost = np.isfinite(trace.position) & ~trace.used & ~wrong
         apart = ~trace.used  # with missing and wrong readings, which are no gaps
-        times = [trace.t[first:last] for first, last in runs(apart) if lost[first:last].any()]
-        if times:
-            windows = " and ".join(f"from {t[0]:.2f} to {t[-1]:.2f} s" for t in times)
+        gaps = [trace.t[first:last] for first, last in runs(apart) if lost[first:last].any()]
+        if gaps:
+            windows = " and ".join(f"from {t[0]:.2f} to {t[-1]:.2f} s" for t in gaps)
             yield (
                 f"{trace.name} left out {windows}: the servo does not turn towards its set-point, "
                 "as without torque."
@@ -124,12 +116,6 @@ def left_out(traces: Sequence[Trace]) -> Iterator[str]:
     if known is not None:
         jitter = 1e3 * known[0]
         yield f"the noise grows with speed, as of readings whose times vary by {jitter:.1f} ms."
-
-
-def _at(times: Array, *, most: int = 3) -> str:
-    """Some times in words."""
-    more = ", ..." if times.size > most else ""
-    return f"at {', '.join(f'{t:.2f}' for t in times[:most])}{more} s."
 
 
 def rest_noise(traces: Sequence[Trace]) -> float:
@@ -150,7 +136,8 @@ def jitter_s(
     vary by less than ``least_share`` of a period, as those of a sensor that is read in time; nor
     where the last order lowers them below the share ``settled``, as it does where parts collide.
     """
-    found = [_of_order(traces, order, least_ratio) for order in _ORDERS]
+    # orders of divided differences, which cancel polynomial motion of lower degree
+    found = [_of_order(traces, order, least_ratio) for order in (4, 5, 6)]
     last, highest = found[-2:]
     if last and highest and highest[0] < settled * last[0]:
         return None
@@ -160,34 +147,25 @@ def jitter_s(
 
 
 def _of_order(
-    traces: Sequence[Trace], order: int, least_ratio: float
+    traces: Sequence[Trace], order: int, least_ratio: float, *, groups: int = 8, fewest: int = 20
 ) -> tuple[float, float] | None:
-    """``jitter_s`` from differences of one order."""
-    parts = [_differences(t, order) for t in traces]
+    """``jitter_s`` from differences of one order, by groups of readings of similar speed."""
+    parts = [(np.zeros(0), np.zeros(0))]
+    for trace in traces:
+        t, angle = trace.t[trace.used], trace.position[trace.used]
+        if t.size > order:
+            speed = np.abs(angle[order:] - angle[:-order]) / (t[order:] - t[:-order])
+            parts.append((divided_differences(t, angle, order), speed))
     noise, speed = (np.concatenate(x) for x in zip(*parts, strict=True))
-    if noise.size < _GROUPS * _FEWEST:
+    if noise.size < groups * fewest:
         return None
-    slowest = np.argsort(speed, kind="stable")[: noise.size // _GROUPS]
+    by_speed = np.argsort(speed, kind="stable")
+    slowest = by_speed[: noise.size // groups]
     step = max(t.quantization_step() for t in traces) / np.sqrt(12)
     rest = max(float(np.sqrt(np.mean(noise[slowest] ** 2))), step, 1e-6)
-    times, fastest = _times_s(noise, speed, rest)
-    return (times, rest) if fastest > least_ratio * rest else None
-
-
-def _times_s(noise: Array, speed: Array, rest: float) -> tuple[float, float]:
-    """Standard deviation of times in s that makes such noise (N,), and the noise of the fastest."""
-    order = np.array_split(np.argsort(speed, kind="stable"), _GROUPS)[_GROUPS // 2 :]
-    sd = np.array([SD_PER_MEDIAN * np.median(np.abs(noise[part])) for part in order])
-    typical = np.array([np.mean(speed[part] ** 2) for part in order])
+    fast = np.array_split(by_speed, groups)[groups // 2 :]
+    sd = np.array([SD_PER_MEDIAN * np.median(np.abs(noise[part])) for part in fast])
+    typical = np.array([np.mean(speed[part] ** 2) for part in fast])
     beyond = np.maximum(sd**2 - rest**2, 0.0)
     variance = np.divide(beyond, typical, out=np.zeros_like(beyond), where=typical > 0)
-    return float(np.sqrt(np.median(variance))), float(sd[-1])
-
-
-def _differences(trace: Trace, order: int) -> tuple[Array, Array]:
-    """Divided differences of used readings, of the noise's standard deviation, and their speeds."""
-    t, angle = trace.t[trace.used], trace.position[trace.used]
-    if t.size <= order:
-        return np.zeros(0), np.zeros(0)
-    speed = np.abs(angle[order:] - angle[:-order]) / (t[order:] - t[:-order])
-    return divided_differences(t, angle, order), speed
+    return (float(np.sqrt(np.median(variance))), rest) if sd[-1] > least_ratio * rest else None

@@ -14,14 +14,12 @@ from sim2real.effects import CATALOGUE
 from sim2real.inference import least_squares, selection
 from sim2real.inference.evidence import profile_loglikelihood
 from sim2real.inference.least_squares import OUTLIER_SD, Expansion
-from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.parameters import COLUMNS, FIRST_COLUMN, LINE
+from sim2real.servo.batch import Batch, Normal, Problems
+from sim2real.servo.parameters import COLUMNS, FIRST_COLUMN, LINE_COLUMNS
 from sim2real.servo.trace import Trace
 
 Set = frozenset[str]
 
-LINE_COLUMNS = np.array([COLUMNS.index(name) for name in LINE])
-"""Columns of a motor's line: stall torque, no-load speed."""
 _ASCENDING = [
     [COLUMNS.index(f"{effect.name}.{name}") for name in effect.ascending]
     for effect in CATALOGUE
@@ -45,23 +43,14 @@ _ROUGH = [FIRST_COLUMN["backlash"], COLUMNS.index("deadband.step_share")]
 
 @dataclass(frozen=True)
 class Servos:
-    """Servos with free parameters, each to be fitted to all recordings of one joint.
+    """Servos with free parameters, each to be fitted to all recordings of one joint."""
 
-    Attributes:
-        joint: Index of the joint in the batch, shape (N,).
-        theta: Parameters, shape (N, P).
-        columns: Columns of the free ones, -1 where a servo has fewer, shape (N, F).
-        unit: Their natural sizes, shape (N, F).
-        low: Smallest values, shape (N, F).
-        high: Largest values, shape (N, F).
-    """
-
-    joint: Integers
-    theta: Array
-    columns: Integers
-    unit: Array
-    low: Array
-    high: Array
+    joint: Integers  # index of the joint in the batch, shape (N,)
+    theta: Array  # parameters, shape (N, P)
+    columns: Integers  # columns of the free ones, -1 where a servo has fewer, shape (N, F)
+    unit: Array  # their natural sizes, shape (N, F)
+    low: Array  # smallest values, shape (N, F)
+    high: Array  # largest values, shape (N, F)
 
     def __getitem__(self, index: Index | Mask | slice) -> Servos:
         """A selection of the servos."""
@@ -119,14 +108,11 @@ def plain_servos(
     *,
     free_line: bool = False,
 ) -> Servos:
-    """Servos whose gains and latency are free.
+    """Servos (N, P) on joints (N,) of a batch, whose gains and latency are free.
 
-    Args:
-        joint: Index of the joint of each in the batch, shape (N,).
-        theta: Starting values, shape (N, P).
-        inertia: Inertia of each load in kg m2, shape (N,).
-        period_s: Time between samples; natural frequencies are limited to half the sampling rate.
-        free_line: Whether the motor's line, if there is one, is free as well.
+    With ``free_line`` the motor's line, if there is one, is free as well. Loads have these inertias
+    in kg m2, (N,); natural frequencies are below half the rate of samples that are ``period_s``
+    apart.
     """
     kp = np.maximum(theta[:, 0], 1e-9)
     kd = np.maximum(theta[:, 1], 0.4 * np.sqrt(kp * inertia))
@@ -149,22 +135,15 @@ def plain_servos(
 
 @dataclass(frozen=True)
 class Fits:
-    """Result of a search.
+    """Result of a search."""
 
-    Attributes:
-        servos: The servos with fitted parameters.
-        gram: Inner products of residual (0) and derivatives by the free parameters, by block,
-            shape (N, B, 1 + F, 1 + F), in rad2 and units.
-        count: Number of samples whose innovations count, shape (N,).
-        autoregression: The noise model, shape (N, lags).
-        converged: Whether each search ended at a minimum, shape (N,).
-    """
-
-    servos: Servos
+    servos: Servos  # the servos with fitted parameters
+    # inner products of residual (0) and derivatives by the free parameters, by block, in rad2 and
+    # units, shape (N, B, 1 + F, 1 + F)
     gram: Array
-    count: Array
-    autoregression: Array
-    converged: Mask
+    count: Array  # number of samples whose innovations count, shape (N,)
+    autoregression: Array  # the noise model, shape (N, lags)
+    converged: Mask  # whether each search ended at a minimum, shape (N,)
 
     @property
     def error2(self) -> Array:
@@ -257,30 +236,25 @@ def minimise(
     """Fit all servos simultaneously (``inference.least_squares``), with one launch per round.
 
     The noise model of each servo is refitted at every point, which makes the sum of squared
-    innovations the profile likelihood.
-
-    Args:
-        batch: The recordings.
-        servos: Starting points.
-        iterations: Largest number of evaluations.
-        blocks: Number of blocks of each recording for ``Fits.gram``.
-        white: Whether to assume white noise.
-        hopeless: Selects servos to stop, see ``inference.least_squares.minimise``.
+    innovations the profile likelihood; or noise is ``white``. ``iterations`` is the largest number
+    of evaluations, ``blocks`` that of blocks of each recording in ``Fits.gram``, and ``hopeless``
+    selects servos to stop.
     """
     latest: dict[int, Array] = {}
 
-    def losses(x: Array, index: Index) -> Array:
+    def evaluated(x: Array, index: Index, **options: Any) -> Normal:  # noqa: ANN401
         noise = np.zeros((index.size, batch.lags)) if white else None
-        normal = batch.evaluate(variants(servos[index].at(x)), autoregression=noise, alone=True)
+        return batch.evaluate(variants(servos[index].at(x)), autoregression=noise, **options)
+
+    def losses(x: Array, index: Index) -> Array:
+        normal = evaluated(x, index, alone=True)
         assert normal.angles is not None
         latest.update(zip(index.tolist(), normal.angles, strict=True))
         return -profile_loglikelihood(normal.square[:, 0], normal.count)
 
     def expand(x: Array, index: Index) -> Expansion:
-        noise = np.zeros((index.size, batch.lags)) if white else None
         known = np.array([latest[k] for k in index.tolist()]) if latest else None
-        trial = variants(servos[index].at(x))
-        normal = batch.evaluate(trial, blocks=blocks, autoregression=noise, known=known)
+        normal = evaluated(x, index, blocks=blocks, known=known)
         gram = np.where(np.isfinite(normal.gram), normal.gram, 0.0)  # a varied servo may diverge
         gram[..., 0, 0] = normal.gram[..., 0, 0]
         total = gram.sum(axis=1)
@@ -308,22 +282,13 @@ def minimise(
 
 
 def minimise_robustly(
-    joints: Sequence[Sequence[Trace]],
-    servos: Servos,
-    *,
-    iterations: int = 10,
-    rounds: int = 3,
+    joints: Sequence[Sequence[Trace]], servos: Servos, *, iterations: int = 10, rounds: int = 3
 ) -> Fits:
-    """Fit servos with white noise and the soft L1 loss, by reweighted least squares.
+    """Fit each servo to the recordings of its joint with white noise and the soft L1 loss.
 
-    A sample whose residual is beyond ``OUTLIER_SD`` robust standard deviations counts less. Source:
-    Holland, Welsch, Communications in Statistics 6 (1977) 813-827.
-
-    Args:
-        joints: The recordings of each servo, one entry a servo.
-        servos: Starting points, on joints 0, 1 and so on.
-        iterations: Largest number of evaluations a round.
-        rounds: Largest number of rounds.
+    By reweighted least squares: a sample whose residual is beyond ``OUTLIER_SD`` robust standard
+    deviations counts less. Source: Holland, Welsch, Communications in Statistics 6 (1977) 813-827.
+    ``iterations`` and ``rounds`` are the largest numbers of evaluations a round, and of rounds.
     """
     weighted = [list(traces) for traces in joints]
     for number in range(rounds):

@@ -1,4 +1,1 @@
-"""Posteriors of servos: priors, likelihoods, resumable chains, convergence, predictive checks.
-
-``servo.sample_servo`` samples the posterior of one joint.
-"""
+"""Posteriors of servos: likelihoods, resumable chains, convergence, predictive checks."""

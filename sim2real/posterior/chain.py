@@ -10,6 +10,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from glob import escape
 from pathlib import Path
 from types import FrameType
@@ -61,6 +62,55 @@ class Chain:
         """Number of completed steps."""
         return int(self.coordinates.shape[0])
 
+    @property
+    def acceptance(self) -> float:
+        """Share of the moves that were accepted, all walkers together."""
+        return float(self.accepted.sum() / max(self.steps * self.accepted.size, 1))
+
+    @cached_property
+    def times(self) -> Array:
+        """Integrated autocorrelation time of each parameter in steps, shape (F,)."""
+        return autocorrelation_times(self.coordinates)
+
+    @property
+    def spans(self) -> float:
+        """Length in units of the longest autocorrelation time."""
+        return float(self.steps / self.times.max())
+
+    @property
+    def reached(self) -> bool:
+        """Whether it is long enough."""
+        return self.spans >= LEAST_TIMES
+
+    @property
+    def needed(self) -> int:
+        """Number of steps that is enough in nearly all cases.
+
+        The autocorrelation time of a short chain is estimated too small, by a factor of at most
+        ``1.2 + 700 / spans**2`` in 98 % of autoregressive chains of 8 to 32 walkers; it is taken to
+        be no longer than the chain.
+        """
+        if self.reached:
+            return self.steps
+        margin = 1.2 + 700 / self.spans**2
+        least = LEAST_TIMES * min(margin * float(self.times.max()), 1.2 * self.steps)
+        return max(math.ceil(least), self.steps + 1)
+
+    @property
+    def burn_in(self) -> int:
+        """Number of initial steps to discard."""
+        return min(math.ceil(BURN_IN_TIMES * float(self.times.max())), self.steps // 2)
+
+    @property
+    def thin(self) -> int:
+        """Number of steps between samples that are kept."""
+        return max(1, int(self.times.min() / 2))
+
+    def sample(self) -> Array:
+        """Thinned samples after the burn-in, standardised coordinates of shape (N, F)."""
+        kept = self.coordinates[self.burn_in :: self.thin]
+        return np.asarray(kept.reshape(-1, kept.shape[2]))
+
 
 def new_chain(
     walkers: int, free: int, seed: int, origin: Mapping[str, Array], fingerprint: str
@@ -107,7 +157,7 @@ def run_chain(
     if chain.steps:
         start, density = chain.coordinates[-1], chain.log_density[-1]
     state = State(start, density, random_state=chain.random)
-    while chain.steps < steps and (not chain.steps or convergence(chain).spans < spans):
+    while chain.steps < steps and (not chain.steps or chain.spans < spans):
         block = min(max(smallest_block, int(block_share * chain.steps)), steps - chain.steps)
         sampler.reset()
         state = deque(interruptible(sampler.sample(state, iterations=block)), maxlen=1).pop()
@@ -221,72 +271,14 @@ def _moves(
     return list(zip((MHMove(independent), StretchMove(), DEMove()), shares, strict=True))
 
 
-@dataclass(frozen=True)
-class Convergence:
-    """How well a chain has mixed."""
-
-    times: Array  # integrated autocorrelation time of each parameter in steps, shape (F,)
-    steps: int  # number of completed steps
-    accepted: float  # share of the moves that were accepted, all walkers together
-
-    @property
-    def spans(self) -> float:
-        """Length of the chain in units of its longest autocorrelation time."""
-        return float(self.steps / self.times.max())
-
-    @property
-    def reached(self) -> bool:
-        """Whether the chain is long enough."""
-        return self.spans >= LEAST_TIMES
-
-    @property
-    def needed(self) -> int:
-        """Number of steps that is enough in nearly all cases.
-
-        The autocorrelation time of a short chain is estimated too small, by a factor of at most
-        ``1.2 + 700 / spans**2`` in 98 % of autoregressive chains of 8 to 32 walkers; it is taken to
-        be no longer than the chain.
-        """
-        if self.reached:
-            return self.steps
-        margin = 1.2 + 700 / self.spans**2
-        least = LEAST_TIMES * min(margin * float(self.times.max()), 1.2 * self.steps)
-        return max(math.ceil(least), self.steps + 1)
-
-    @property
-    def burn_in(self) -> int:
-        """Number of initial steps to discard."""
-        return min(math.ceil(BURN_IN_TIMES * float(self.times.max())), self.steps // 2)
-
-    @property
-    def thin(self) -> int:
-        """Number of steps between samples that are kept."""
-        return max(1, int(self.times.min() / 2))
-
-
-def convergence(chain: Chain) -> Convergence:
-    """Measure how well a chain has mixed."""
-    tries = max(chain.steps * chain.accepted.size, 1)
-    times = autocorrelation_times(chain.coordinates)
-    return Convergence(times, chain.steps, float(chain.accepted.sum() / tries))
-
-
-def require(
-    convergence: Convergence, what: str, names: tuple[str, ...], *, multiple: int = 500
-) -> None:
+def require(chain: Chain, what: str, names: tuple[str, ...], *, multiple: int = 500) -> None:
     """Raise an InputError with a number of steps, unless a chain is long enough."""
-    if convergence.reached:
+    if chain.reached:
         return
-    steps = math.ceil(convergence.needed / multiple) * multiple
+    steps = math.ceil(chain.needed / multiple) * multiple
     raise InputError(
         what,
-        names[int(convergence.times.argmax())],
-        f"{convergence.steps} steps, {convergence.spans:.0f} of its autocorrelation times",
+        names[int(chain.times.argmax())],
+        f"{chain.steps} steps, {chain.spans:.0f} of its autocorrelation times",
         f"at least {LEAST_TIMES}; run again with --steps {steps}: the chain continues",
     )
-
-
-def sample(chain: Chain, convergence: Convergence) -> Array:
-    """Thinned samples after the burn-in, standardised coordinates of shape (N, F)."""
-    kept = chain.coordinates[convergence.burn_in :: convergence.thin]
-    return np.asarray(kept.reshape(-1, kept.shape[2]))

@@ -15,8 +15,7 @@ from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError, library
 from sim2real.inference.normal import LEVEL
 from sim2real.output import write_whole
-from sim2real.posterior.predictive_check import PredictiveCheck
-from sim2real.posterior.servo import ServoPosterior
+from sim2real.posterior.servo import PredictiveCheck, ServoPosterior
 from sim2real.structured import read_arrays
 
 if TYPE_CHECKING:

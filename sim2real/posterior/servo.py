@@ -1,9 +1,9 @@
-"""Sample the posterior of one servo from its recordings."""
+"""Sample the posterior of one servo from its recordings, and check it on a held-out one."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,27 +22,28 @@ from sim2real.identification.priors import (
 from sim2real.identification.problem import Fit, ServoProblem
 from sim2real.identification.search import fit
 from sim2real.identification.uncertainty import uncertainty
+from sim2real.inference.least_squares import rms
 from sim2real.inference.normal import LEVEL
 from sim2real.inference.parameters import Parameter
 from sim2real.model import JointModel
 from sim2real.posterior.chain import (
     LEAST_TIMES,
     Chain,
-    Convergence,
     clear_leftovers,
-    convergence,
     new_chain,
     read_chain,
     run_chain,
-    sample,
 )
 from sim2real.recording import PER_INERTIA, Load
 from sim2real.robot import Servo
 from sim2real.servo.parameters import BASE, FIRST_COLUMN, LINE, joint_row
+from sim2real.servo.rollout import rollout_on
 from sim2real.servo.trace import Trace
 from sim2real.units import unit_of
 
 STEPS, WALKERS = 2000, 32
+LEVELS = (0.5, 0.8, 0.95)
+"""Probabilities of the bands of a predictive check."""
 RANDOM_EFFECTS = ("latency_jitter", "packet_loss")
 """Effects that are random for given parameters; their parameters are not sampled."""
 _ORIGIN = ("centre", "factor", "spread", "noise")
@@ -54,9 +55,6 @@ class ServoPosterior:
 
     problem: ServoProblem  # the recordings, and the F sampled parameters with their priors
     values: Array  # the sample, shape (N, F), ordered by step and then by walker
-    convergence: Convergence  # how well the chain has mixed
-    optimum: Array  # values at the optimum, shape (F,)
-    noise_sd: float  # robust standard deviation of the residual at the optimum in rad
     chain: Chain  # the chain, with all steps
     # parameters of effects that the recordings do not determine, which are held at the model's
     # values
@@ -93,10 +91,7 @@ def loaded(trace: Trace, joint: JointModel) -> Trace:
 
 
 def servo_problem(
-    traces: Sequence[Trace],
-    joint: JointModel,
-    servo: Servo | None = None,
-    held: Sequence[str] = (),
+    traces: Sequence[Trace], joint: JointModel, servo: Servo | None = None, held: Sequence[str] = ()
 ) -> ServoProblem:
     """All parameters that the fit of a model determined, with the bounds and priors of the fit.
 
@@ -143,20 +138,25 @@ def sample_servo(
     The likelihood is that of the fit, which counts correlated residuals as fewer samples. Draws are
     spread about the optimum by the ratio of the covariances of the fit (a sandwich) and of this
     likelihood, which makes their intervals those of ``identify`` (curvature adjustment: Ribatet,
-    Cooley and Davison, Statistica Sinica 22 (2012) 813-845).
+    Cooley and Davison, Statistica Sinica 22 (2012) 813-845). Parameters of effects that the
+    recordings do not determine are held at the model's values.
 
     The search for the optimum starts from the model. ``steps`` are the most that each of the
     ``walkers`` takes, including those in ``file``, a chain that is continued if it exists: a chain
-    of twice the length that is asked of it ends. ``level`` is the probability of the intervals.
-
-    Returns:
-        The sample; ``convergence.reached`` is true if the chain is long enough.
+    of twice the length that is asked of it ends. ``level`` is the probability of the intervals;
+    ``chain.reached`` of the sample tells whether the chain is long enough.
 
     Raises:
         InputError: If ``file`` is the chain of another problem, or there are too few walkers.
     """
-    best, held = _determined(traces, joint, servo)
-    problem = best.problem
+    problem = servo_problem(traces, joint, servo)
+    best = fit(problem, problem.row[None])
+    undetermined = uncertainty(best, repeating=False).undetermined
+    names = (best.names[k] for k in sorted(undetermined))
+    held = tuple(name for name in names if "." in name and not name.startswith("motor."))
+    if held:
+        problem = servo_problem(traces, joint, servo, held)
+        best = fit(problem, problem.row[None])
     F = len(problem.parameters)
     if walkers < 2 * F:
         raise InputError("--walkers", "", str(walkers), f"at least {2 * F} for {F} parameters")
@@ -175,43 +175,14 @@ def sample_servo(
     progress(chain.steps)
     chain = run_chain(chain, log_posterior, steps, file, progress, spans=2 * LEAST_TIMES)
     progress(steps)
-    mixing = convergence(chain)
-    x = _folded(problem, centre + sample(chain, mixing) @ spread.T)
+    x = _folded(problem, centre + chain.sample() @ spread.T)
     return ServoPosterior(
         problem=problem,
         values=problem.values(np.clip(x, *problem.box)),
-        convergence=mixing,
-        optimum=problem.values(centre),
-        noise_sd=float(noise[0]),
         chain=chain,
         undetermined=held,
         level=level,
     )
-
-
-def normal_draws(best: Fit, rng: np.random.Generator, count: int) -> Array:
-    """Values of the free parameters drawn from the normal distribution of a fit, (count, F)."""
-    _, spread = _factors(best)
-    x = best.x + rng.standard_normal((count, best.x.size)) @ spread.T
-    return best.problem.values(np.clip(_folded(best.problem, x), *best.problem.box))
-
-
-def _determined(
-    traces: Sequence[Trace], joint: JointModel, servo: Servo | None
-) -> tuple[Fit, tuple[str, ...]]:
-    """The fit of the parameters to sample, and those of effects that are not determined."""
-    problem = servo_problem(traces, joint, servo)
-    best = fit(problem, problem.row[None])
-    undetermined = uncertainty(best, repeating=False).undetermined
-    held = tuple(
-        name
-        for k, name in enumerate(best.names)
-        if k in undetermined and "." in name and not name.startswith("motor.")
-    )
-    if held:
-        problem = servo_problem(traces, joint, servo, held)
-        best = fit(problem, problem.row[None])
-    return best, held
 
 
 def _folded(problem: ServoProblem, x: Array) -> Array:
@@ -237,7 +208,15 @@ def _factors(best: Fit) -> tuple[Array, Array]:
 def _resumed_or_new(best: Fit, seed: int, walkers: int, file: Path | None) -> Chain:
     """The chain in ``file``, or a new one from the optimum."""
     problem = best.problem
-    fingerprint = _fingerprint(problem, seed, walkers)
+    # everything that the chain depends on, except its length
+    stated = f"{SIGNATURE} {problem.parameters} {problem.ties} {seed} {walkers}"
+    digest = hashlib.sha256(stated.encode())
+    digest.update(problem.row.tobytes())
+    for trace in problem.traces:
+        digest.update(str(trace.load).encode())
+        for values in (trace.t, trace.command, trace.position, trace.used):
+            digest.update(np.ascontiguousarray(values).tobytes())
+    fingerprint = digest.hexdigest()
     if file is not None:
         clear_leftovers(file)
     if file is not None and file.exists():
@@ -256,13 +235,63 @@ def _resumed_or_new(best: Fit, seed: int, walkers: int, file: Path | None) -> Ch
     return replace(chain, origin={**chain.origin, "start": np.asarray(inside)})
 
 
-def _fingerprint(problem: ServoProblem, seed: int, walkers: int) -> str:
-    """SHA-256 of everything that the chain depends on, except its length."""
-    stated = f"{SIGNATURE} {problem.parameters} {problem.ties} {seed} {walkers}"
-    digest = hashlib.sha256(stated.encode())
-    digest.update(problem.row.tobytes())
-    for trace in problem.traces:
-        digest.update(str(trace.load).encode())
-        for values in (trace.t, trace.command, trace.position, trace.used):
-            digest.update(np.ascontiguousarray(values).tobytes())
-    return digest.hexdigest()
+@dataclass(frozen=True)
+class PredictiveCheck:
+    """Predictions of a posterior for one recording, and the measured angles."""
+
+    recording: str  # its name
+    t: Array  # times in s, shape (T,)
+    measured: Array  # angles in rad, shape (T,), NaN where the sample was not held out
+    median: Array  # median of the predictions, shape (T,)
+    band: Array  # ends of the central 95 % of the predictions, with noise, shape (2, T)
+    # share of measured angles within the central band of each of ``LEVELS``
+    covered: Mapping[float, float]
+    rmse: float  # root mean square error of the median in rad
+
+    @property
+    def holds(self) -> bool:
+        """Whether the band of 95 % contains at least 85 % of the samples."""
+        return self.covered[0.95] >= 0.85
+
+
+def predictive_check(
+    posterior: ServoPosterior,
+    joint: JointModel,
+    fitted: Sequence[Trace],
+    held_out: Trace,
+    rng: np.random.Generator,
+    draws: int = 200,
+) -> PredictiveCheck:
+    """Predict a recording with a fit to others and compare it with the measured angles.
+
+    The parameters are ``draws`` from the normal distribution of a fit without the recording; noise
+    is added to every prediction, with the root mean square of the residual of that fit. Source:
+    Gelman, Meng and Stern, Statistica Sinica 6 (1996) 733-807. ``posterior`` is that of all
+    recordings; of ``held_out`` the ``used`` samples are not fitted.
+    """
+    trace = loaded(held_out, joint)
+    without = replace(posterior.problem, traces=[loaded(one, joint) for one in fitted])
+    start = without.row.copy()
+    start[without.columns] = without.values(posterior.chain.origin["centre"])
+    best = fit(without, start[None], rounds=2)
+    rows = np.tile(best.row, (draws, 1))
+    x = best.x + rng.standard_normal((draws, best.x.size)) @ _factors(best)[1].T
+    rows[:, without.columns] = without.values(np.clip(_folded(without, x), *without.box))
+    angles = rollout_on(trace, rows)
+    noisy = angles + rng.normal(0.0, rms([best.error]) * trace.fit_ratio, angles.shape)
+    measured = trace.measured
+    present = np.isfinite(measured)
+    covered = {}
+    for level in LEVELS:
+        low, high = np.quantile(noisy, [0.5 - level / 2, 0.5 + level / 2], axis=0)
+        covered[level] = float(((measured >= low) & (measured <= high))[present].mean())
+    median = np.median(angles, axis=0)
+    return PredictiveCheck(
+        recording=held_out.name,
+        t=trace.t,
+        measured=measured,
+        median=median,
+        band=np.quantile(noisy, [0.025, 0.975], axis=0),
+        covered=covered,
+        rmse=rms([(median - measured)[present]]),
+    )

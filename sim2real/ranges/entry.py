@@ -111,21 +111,19 @@ def write_ranges(ranges: Ranges, path: str | os.PathLike[str]) -> None:
 
 def read_ranges(path: str | os.PathLike[str]) -> Ranges:
     """Read ``ranges.json``."""
-    top = Fields(path, "", read_json(path, SCHEMA))
+    top, entries = Fields(path, "", read_json(path, SCHEMA)), list[Range]()
+    for fields in top.tables("ranges"):
+        period: Any = fields.choice("period", get_args(Period))
+        kind: Any = fields.choice("distribution", tuple(_NUMBERS))
+        first, second = _NUMBERS[kind]
+        low = fields.number(first)
+        high = fields.number(second, low=low if kind == "uniform" else 0)
+        name, unit = fields.text("parameter"), fields.text("unit", "")
+        entries.append(Range(name, kind, low, high, unit, period, fields.text("source", "")))
     return Ranges(
-        entries=tuple(_read(entry) for entry in top.tables("ranges")),
+        entries=tuple(entries),
         posterior=top.text("posterior") if top.content.get("posterior") else "",
         notes=top.sentences("notes"),
         provenance=top.table("provenance").content,
         interval_level=top.number("interval_level", LEVEL, above=0),
     )
-
-
-def _read(fields: Fields) -> Range:
-    period: Any = fields.choice("period", get_args(Period))
-    kind: Any = fields.choice("distribution", tuple(_NUMBERS))
-    first, second = _NUMBERS[kind]
-    low = fields.number(first)
-    high = fields.number(second, low=low if kind == "uniform" else 0)
-    name, unit = fields.text("parameter"), fields.text("unit", "")
-    return Range(name, kind, low, high, unit, period, fields.text("source", ""))

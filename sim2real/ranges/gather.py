@@ -18,16 +18,17 @@ from sim2real.model import Model
 from sim2real.noise import ABOVE_NOISE
 from sim2real.plausible import admitted
 from sim2real.posterior.chain import require
-from sim2real.posterior.predictive_check import PredictiveCheck, predictive_check
 from sim2real.posterior.servo import (
     STEPS,
     WALKERS,
+    PredictiveCheck,
     ServoPosterior,
+    predictive_check,
     sample_servo,
     servo_problem,
 )
-from sim2real.ranges.entry import Range, Ranges, normal, uniform
-from sim2real.ranges.latency import Latencies, latencies
+from sim2real.ranges.entry import Range, Ranges
+from sim2real.ranges.latency import Latencies, latencies, latency_ranges
 from sim2real.ranges.population import TypeParameter
 from sim2real.ranges.sources import (
     body_ranges,
@@ -46,9 +47,6 @@ from sim2real.servo.trace import at_one_gain, check_samples, split, traces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-_CLEAR = 3.0
-"""Standard deviations above which an offset between joints, or a spread, is significant."""
 
 
 @dataclass(frozen=True)
@@ -80,13 +78,13 @@ class Gathered(NotebookDisplay):
         """
         if self.latencies is not None:
             figure: Figure = from_report("ranges.latency_figure")(self.latencies)
-            return figure
-        if self.population:
-            drawn: Figure = from_report("ranges.population_figure")(self.population)
-            return drawn
-        if self.density is None:
+        elif self.population:
+            figure = from_report("ranges.population_figure")(self.population)
+        elif self.density is not None:
+            figure = self.density.plot()
+        else:
             raise InputError("ranges", "plot", "no latencies and no masses", "one of them")
-        return self.density.plot()
+        return figure
 
 
 @dataclass(frozen=True)
@@ -178,39 +176,10 @@ def sample_joints(
         if scored and scored[0].used.any():
             rng = np.random.default_rng([sampling.seed, number])
             checks[joint] = predictive_check(posteriors[joint], servo, fitted, scored[0], rng)
-    mixing = {joint: posterior.convergence for joint, posterior in posteriors.items()}
-    for joint in sorted(mixing, key=lambda name: (mixing[name].reached, -mixing[name].needed)):
-        require(mixing[joint], f"posterior of {joint}", posteriors[joint].names)
+    chains = {joint: posterior.chain for joint, posterior in posteriors.items()}
+    for joint in sorted(chains, key=lambda name: (chains[name].reached, -chains[name].needed)):
+        require(chains[joint], f"posterior of {joint}", posteriors[joint].names)
     return posteriors, checks
-
-
-def latency_ranges(fits: Latencies | None, model: Model) -> list[Range]:
-    """The latency of all joints, and offsets of single joints if they differ significantly."""
-    if fits is None:
-        ends = [
-            joint.interval.get("latency_s", (joint.latency_s,) * 2)
-            for joint in model.joints.values()
-        ]
-        values = [x for pair in ends for x in pair if np.isfinite(x)]
-        values += [joint.latency_s for joint in model.joints.values()]
-        source = "the model: intervals of all joints; no recording shows a latency"
-        return [uniform("command_latency_s", min(values), max(values), "s", source)]
-    centre, half_width = fits.spread.centre, fits.spread.half_width
-    low, high = max(centre - half_width, 0.0), centre + half_width
-    what = "windows" if fits.windows else "recordings"
-    ends_ms = " to ".join(f"{1e3 * end:.2g}" for end in fits.spread.half_width_90)
-    source = (
-        f"latency fitted to each of {len(fits.episodes)} {what}: medians of the posterior of the "
-        f"uniform distribution behind them; 90 % interval of its half-width {ends_ms} ms"
-    )
-    out = [uniform("command_latency_s", low, high, "s", source)]
-    if any(abs(value) > _CLEAR * sd for value, sd in fits.offset.values()):
-        source = f"the same {what}: mean of the joint less that of all, and its standard error"
-        out += [
-            normal(f"{joint}.latency_offset_s", value, sd, "s", source)
-            for joint, (value, sd) in fits.offset.items()
-        ]
-    return out
 
 
 def _notes(

@@ -23,7 +23,8 @@ from sim2real.inference.variance_components import (
 )
 from sim2real.model import JointModel, Model
 from sim2real.ranges.entry import Range, Ranges, uniform
-from sim2real.ranges.sources import GAINS, parameters_of
+from sim2real.ranges.sources import parameters_of
+from sim2real.servo.parameters import GAINS
 from sim2real.units import unit_of
 
 _LATENCY = "latency_s"
@@ -31,26 +32,16 @@ _LATENCY = "latency_s"
 
 @dataclass(frozen=True)
 class TypeParameter:
-    """One parameter of a type of servo, in SI units.
+    """One parameter of a type of servo, in SI units."""
 
-    Attributes:
-        name: Its name in ranges, ``J.kp_Nm_per_rad``.
-        unit: Its unit.
-        units: The servo that each model is of, N of them.
-        values: Its value in each model, shape (N,).
-        ends: Its interval in each model, shape (N, 2).
-        log: Whether its logarithm is normal.
-        components: Mean over units, the geometric one if ``log``; standard deviations between units
-            and between runs of a unit, as shares of the mean if ``log``; and the distribution of a
-            run of a new unit.
-    """
-
-    name: str
+    name: str  # in ranges, ``J.kp_Nm_per_rad``
     unit: str
-    units: tuple[str, ...]
-    values: Array
-    ends: Array
-    log: bool
+    units: tuple[str, ...]  # the servo that each model is of, N of them
+    values: Array  # its value in each model, shape (N,)
+    ends: Array  # its interval in each model, shape (N, 2)
+    log: bool  # whether its logarithm is normal
+    # mean over units, the geometric one if ``log``; standard deviations between units and between
+    # runs of a unit, as shares of the mean if ``log``; and the distribution of a run of a new unit
     components: VarianceComponents
 
 
@@ -64,10 +55,8 @@ def population(
     interval of a run of a new unit given all models, with heavy tails where units are few
     (``inference.variance_components``). Parameters count as independent.
 
-    Args:
-        models: Name of the unit, and model, of each run: two at least. kp is brought to the
-            firmware gain of the first model that states one.
-        level: Probability of the intervals and of the ranges.
+    ``models``: name of the unit, and model, of each run; kp is brought to the firmware gain of the
+    first model that states one. ``level``: probability of the intervals and of the ranges.
 
     Raises:
         InputError: If there are less than two models, they have no joint in common, or only some
@@ -91,14 +80,25 @@ def population(
             rows = list(_rows(name, models, joint, gain))
             known = [row for row in rows if row.determined]
             if len(known) > 1:
-                parameters.append(_type_parameter(f"{joint}.{name}", unit, known, level))
-                entries.append(_range(parameters[-1], level))
+                one = _type_parameter(f"{joint}.{name}", unit, known, level)
+                units, share = list(dict.fromkeys(one.units)), f"{100 * level:g} % interval"
+                source = f"{len(known)} models of {len(units)} units: {share} of a new unit"
+                if len(units) == 1:
+                    source = f"{len(known)} models of unit {units[0]}: {share} of a new run"
+                low, _, high = one.components.new
+                parameters.append(one)
+                entries.append(uniform(one.name, low, high, unit, source))
             else:
                 ends = [x for row in rows for x in (row.value, *row.ends) if np.isfinite(x)]
                 source = f"lowest to highest end in {len(rows)} models: less than two determine it"
                 entries.append(uniform(f"{joint}.{name}", min(ends), max(ends), unit, source))
-    notes = _notes(models, gain)
-    ranges = Ranges(_with_common_latency(entries), notes=notes, interval_level=level)
+    # the latency first, which ranges state for all joints together
+    delays = [entry for entry in entries if entry.parameter.endswith(f".{_LATENCY}")]
+    low, high = min(e.first for e in delays), max(e.second for e in delays)
+    source = delays[0].source + (" of each joint, lowest to highest" if len(delays) > 1 else "")
+    entries = [entry for entry in entries if entry not in delays]
+    entries.insert(0, uniform("command_latency_s", low, high, "s", source))
+    ranges = Ranges(tuple(entries), notes=_notes(models, gain), interval_level=level)
     return ranges, tuple(parameters)
 
 
@@ -163,24 +163,6 @@ def _type_parameter(name: str, unit: str, rows: Sequence[_Row], level: float) ->
 def _each(function: Callable[[float], float], ends: Quantiles) -> Quantiles:
     low, middle, high = map(function, ends)
     return low, middle, high
-
-
-def _range(one: TypeParameter, level: float) -> Range:
-    low, _, high = one.components.new
-    units, models = len(set(one.units)), len(one.units)
-    source = f"{models} models of {units} units: {100 * level:g} % interval of a new unit"
-    if units == 1:
-        source = f"{models} models of unit {one.units[0]}: {100 * level:g} % interval of a new run"
-    return uniform(one.name, low, high, one.unit, source)
-
-
-def _with_common_latency(entries: Sequence[Range]) -> tuple[Range, ...]:
-    """The latency first, which ranges state for all joints together."""
-    delays = [entry for entry in entries if entry.parameter.endswith(f".{_LATENCY}")]
-    others = [entry for entry in entries if entry not in delays]
-    low, high = min(e.first for e in delays), max(e.second for e in delays)
-    source = delays[0].source + (" of each joint, lowest to highest" if len(delays) > 1 else "")
-    return (uniform("command_latency_s", low, high, "s", source), *others)
 
 
 def _notes(models: Sequence[tuple[str, Model]], gain: float | None) -> tuple[str, ...]:

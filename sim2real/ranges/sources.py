@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from sim2real.arrays import Array
 from sim2real.body import body_effect, values
 from sim2real.model import JointModel, Model
 from sim2real.noise import difference_noise, noise_floor
@@ -16,10 +15,10 @@ from sim2real.posterior.servo import ServoPosterior
 from sim2real.ranges.entry import Range, normal, uniform
 from sim2real.recording import Recording
 from sim2real.robot import Density
+from sim2real.servo.parameters import GAINS
 from sim2real.structured import finite_number
 from sim2real.units import unit_of
 
-GAINS = ("kp_Nm_per_rad", "kd_Nms_per_rad")
 _STRIBECK_SPEED = "motor.stribeck_speed_rad_s"
 _FEWEST = 60
 """Smallest number of samples for an estimate of the noise."""
@@ -153,8 +152,13 @@ def camera_noise(recordings: Sequence[Recording]) -> list[Range]:
     heading: dict[str, list[float]] = {}
     labels = labelled(recordings)
     for recording in (r for r in recordings if r.has_poses):
-        label = labels[recording.file]
-        t, x, y, yaw = _frames(recording)
+        label, none = labels[recording.file], np.full(recording.t.size, np.nan)
+        poses = (recording.columns.get(f"body.{n}", none) for n in ("x_m", "y_m", "yaw_rad"))
+        frames = np.stack([recording.t, *poses])
+        # those in which the robot was tracked, without repeated ones
+        frames = frames[:, np.isfinite(frames[1:3]).all(axis=0)]
+        changed = (np.diff(frames[1:3]) != 0).any(axis=0)
+        t, x, y, yaw = frames[:, np.concatenate([[True], changed])[: frames.shape[1]]]
         if t.size >= _FEWEST:
             place[label] = [difference_noise(t, x), difference_noise(t, y)]
         present = np.isfinite(yaw)
@@ -163,17 +167,6 @@ def camera_noise(recordings: Sequence[Recording]) -> list[Range]:
     both = (("body.position_noise_m", "m", place), ("body.yaw_noise_rad", "rad", heading))
     how = "difference-based noise"
     return [_step(name, unit, noise, how) for name, unit, noise in both if noise]
-
-
-def _frames(recording: Recording) -> tuple[Array, Array, Array, Array]:
-    """Times, x, y and yaw of the frames in which the robot was tracked, without repeated ones."""
-    none = np.full(recording.t.size, np.nan)
-    x, y, yaw = (recording.columns.get(f"body.{n}", none) for n in ("x_m", "y_m", "yaw_rad"))
-    tracked = np.isfinite(x) & np.isfinite(y)
-    t, x, y, yaw = (values[tracked] for values in (recording.t, x, y, yaw))
-    new = np.ones(t.size, dtype=bool)
-    new[1:] = (np.diff(x) != 0) | (np.diff(y) != 0)
-    return t[new], x[new], y[new], yaw[new]
 
 
 def _step(name: str, unit: str, noise: Mapping[str, Sequence[float]], how: str) -> Range:

@@ -15,7 +15,7 @@ from sim2real.model import JointModel, Model
 from sim2real.posterior.posteriors import Posteriors
 from sim2real.ranges.entry import Ranges
 from sim2real.ranges.gather import Gathered
-from sim2real.ranges.latency_split import LatencySplit
+from sim2real.ranges.latency import LatencySplit
 from sim2real.recording import Recording
 from sim2real.report.design_plot import design_section, rivals_section
 from sim2real.report.diagnosis import effect_tables

@@ -9,12 +9,10 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.posterior.chain import LEAST_TIMES
-from sim2real.posterior.predictive_check import LEVELS, PredictiveCheck
-from sim2real.posterior.servo import ServoPosterior
+from sim2real.posterior.servo import LEVELS, PredictiveCheck, ServoPosterior
 from sim2real.ranges.entry import Ranges
 from sim2real.ranges.gather import Gathered
-from sim2real.ranges.latency import Latencies
-from sim2real.ranges.latency_split import Cause, LatencySplit
+from sim2real.ranges.latency import Cause, Latencies, LatencySplit
 from sim2real.ranges.population import TypeParameter
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Figure, Note, Section, Table, Text
@@ -174,13 +172,13 @@ def posterior_table(joint: str, posterior: ServoPosterior) -> Table:
 def posterior_section(gathered: Gathered, joint: str) -> Section:
     """Chain, corner plot and predictive check of a joint with a posterior."""
     posterior = gathered.posteriors[joint]
-    mixing = posterior.convergence
+    mixing = posterior.chain
     lead = _CHAIN.format(
-        walkers=posterior.chain.accepted.size,
+        walkers=mixing.accepted.size,
         steps=mixing.steps,
         spans=mixing.spans,
         least=LEAST_TIMES,
-        accepted=100 * mixing.accepted,
+        accepted=100 * mixing.acceptance,
     )
     rows = [
         (printable(readable_name(prior.name)), str(prior), f"{time:.1f}")

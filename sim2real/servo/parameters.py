@@ -17,6 +17,7 @@ _STIFFEST_RAD_S = 2.5e4
 """Fastest resonance, 4 kHz; stiffer springs are unstable with the shortest sub-step."""
 BASE = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s", "inertia_kgm2", "gravity_Nm")
 """Columns of the plain PD servo; ``gravity_Nm`` is the pendulum's torque held level."""
+GAINS = BASE[:2]
 
 LINE = ("motor.stall_torque_Nm", "motor.no_load_speed_rad_s")
 """A motor's torque-speed line."""
@@ -69,6 +70,8 @@ INERTIA_LEFT_OUT = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
 """Column of the inertia in addition to that of the stated load."""
 ROTOR_INERTIA = COLUMNS.index(ROTOR)
 """Column of the inertia of rotor and gears."""
+LINE_COLUMNS = np.array([COLUMNS.index(name) for name in LINE])
+"""Columns of a motor's line: stall torque, no-load speed."""
 TRAINS = ("backlash", "compliance")
 """Effects that make two masses of a gear train."""
 CONTROL_SIDE = "control_on_output"
@@ -163,7 +166,7 @@ def context_factors(supply_ratio: float, gain_ratio: float) -> Array:
     proportional to the supply voltage, and damping by back-EMF is not (the circuit of a DC motor).
     """
     factors = np.ones(len(COLUMNS))
-    factors[[0, *(COLUMNS.index(name) for name in LINE)]] = supply_ratio
+    factors[[0, *LINE_COLUMNS]] = supply_ratio
     factors[0] *= gain_ratio
     return factors
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -56,7 +55,7 @@ def predict(
             raise InputError(where, f"{joint}.command_rad", f"joint {joint}", f"one of {modelled}")
     if model.arm is not None:
         from sim2real.arm.arm_loads import predicted_arm
-        from sim2real.arm.multibody import Multibody
+        from sim2real.arm.description import Multibody
 
         return predicted_arm(Multibody(model.arm), model.joints, t, command)[1]
     angles = {}
@@ -154,23 +153,18 @@ def replay(
 
     ``held_out`` is the name of the held-out recording, as passed to ``identify``.
     """
-
-    @cache
-    def angles_in(file: str) -> dict[str, Array]:
-        recording = by_file[file]
-        modelled = model.joints if model.arm is None else {*model.joints, *model.arm.names}
+    modelled = {*model.joints, *(() if model.arm is None else model.arm.names)}
+    angles = {}
+    for recording in (r for r in recordings if not set(model.joints).isdisjoint(r.joints)):
         commands = {j: x for j, x in recording.commands.items() if j in modelled}
-        return _predicted(model, recording, commands)
-
-    by_file = {recording.file: recording for recording in recordings}
+        angles[recording.file] = _predicted(model, recording, commands)
     replays = []
     for joint in model.joints:
         _, scored, _ = split(traces(recordings, joint), held_out)
         unseen = {trace.file: trace.used for trace in scored}
         for recording in (r for r in recordings if joint in r.joints):
-            angles = angles_in(recording.file)
             mask = np.zeros(recording.t.size, dtype=bool)
             used = unseen.get(recording.file, mask)
             mask[: used.size] = used
-            replays.append(Replay(recording, joint, angles[joint], mask))
+            replays.append(Replay(recording, joint, angles[recording.file][joint], mask))
     return replays

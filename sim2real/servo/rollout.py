@@ -57,12 +57,12 @@ def rollout(
         theta: Parameters of B servos, shape (B, P), in the order of ``COLUMNS``.
         t: Times of commands and samples in s, shape (T,), increasing.
         command: Set-points in rad sent at ``t``, shape (T,); NaN where the torque is off.
-        measured: Measured angles in rad, shape (T,), of which those before the first change of the
-            command show where the servo starts; NaN where missing.
+        measured: Measured angles in rad, shape (T,), NaN where missing: those before the first
+            change of the command show where the servo starts.
         varying: Load that varies with time, around the mean inertia that ``theta`` has.
-        steps_per_radian: Sub-steps per radian of the fastest mode's phase.
-        substep_s: Longest sub-step in s, for all rows or of shape (B,); by default determined
-            by ``steps_per_radian``, at most 2 ms. A common value makes differences of rows smooth.
+        steps_per_radian: Sub-steps per radian of the fastest mode's phase, at most 2 ms long.
+        substep_s: Instead of it the longest sub-step in s, for all rows or of shape (B,). A common
+            value makes differences of rows smooth.
 
     Returns:
         Measured angles in rad at ``t``, shape (B, T).
@@ -75,7 +75,7 @@ def rollout(
     angles = np.full(t.size, np.nan) if measured is None else measured
     used = np.isfinite(angles)
     trace = Trace("", "", t, command, angles, Load(0.0), used, varying=varying)
-    return np.asarray(Simulator([trace], add_loads=True).run(rows, longest).numpy())
+    return Simulator([trace], add_loads=True).angles(rows, longest)[0]
 
 
 def rollout_on(trace: Trace, theta: Array, *, substep_s: float | None = None) -> Array:
@@ -158,22 +158,19 @@ def trace_contexts(traces: Sequence[Trace]) -> tuple[Array, Array]:
 
 
 class Simulator:
-    """Simulates servos with any parameters on the S recordings of one joint.
+    """Simulates servos with any parameters on S recordings.
 
     Their loads are those of the recordings; with ``add_loads`` those of servos are added.
     """
 
-    def __init__(
-        self, traces: Sequence[Trace], threads: int = 2, *, add_loads: bool = False
-    ) -> None:
-        self.traces, self.threads = traces, threads
-        signals, position, self._load = padded(traces)
+    def __init__(self, traces: Sequence[Trace], *, add_loads: bool = False) -> None:
+        self.traces = traces
+        signals, self.position, self.load = padded(traces)
+        self.length = signals[2]
         self._factor, self._offset = trace_contexts(traces)
         if add_loads:
             self._factor[:, _LOAD] = 1.0
         self._signals = [to_warp(x) for x in signals]
-        self.position, self.length = to_warp(position), self._signals[2]
-        self._pool = workers(threads)
 
     def substeps(
         self,
@@ -182,7 +179,7 @@ class Simulator:
         longest_s: float = LONGEST_SUBSTEP_S,
     ) -> Array:
         """Sub-step in s for each of the servos (B, P), shape (B,)."""
-        inertia = self._load[:, 0, None]
+        inertia = self.load[:, 0, None]
         least: Array = longest_substep(theta, inertia, steps_per_radian, longest_s).min(axis=0)
         return least
 
@@ -191,33 +188,44 @@ class Simulator:
 
         ``substep_s``: longest sub-step, a number or (B,).
         """
-        substeps = np.broadcast_to(substep_s, len(theta))
         S = len(self.traces)
-        threads = min(self.threads, max(1, len(theta) * S // 16))  # a launch costs as 5 rows
-        parts = zip(*(np.array_split(x, threads) for x in (theta, substeps)), strict=True)
-        results = list(self._pool.map(lambda part: self.run(*part).numpy(), parts))
-        return [
-            np.concatenate([angle[s::S, : trace.t.size] for angle in results])
-            for s, trace in enumerate(self.traces)
-        ]
+        servo, signal = (x.ravel() for x in np.indices((len(theta), S)))
+        angle = self.run(theta[servo], signal, np.broadcast_to(substep_s, len(theta))[servo])
+        return [angle[s::S, : trace.t.size] for s, trace in enumerate(self.traces)]
 
-    def run(self, theta: Array, substep_s: float | Array) -> Any:  # noqa: ANN401 - Warp has no stubs
-        """Angles as a Warp array (B * S, T), one row per servo and recording, see ``angles``."""
-        S = len(self.traces)
-        rows = (theta[:, None] * self._factor + self._offset).reshape(-1, theta.shape[1])
-        signal = np.tile(np.arange(S, dtype=np.int32), theta.shape[0])
-        T = self._signals[0].shape[1]
-        angle: Any = wp.empty((len(rows), T), dtype=wp.float64, device="cpu")
-        servos = to_warp(rows)
-        longest = np.repeat(np.broadcast_to(substep_s, len(theta)), S)
-        simulate(active_effects(rows), rows[:, 2], servos, signal, self._signals, longest, angle)
-        return angle
+    def run(self, theta: Array, signal: Index, longest_s: Array) -> Array:
+        """Angles in rad of N rollouts, 0 beyond the end of a recording, shape (N, T).
+
+        Of each: parameters (N, P), index of the recording (N,), longest sub-step in s (N,). Those
+        without effects and with the same events are simulated in pairs.
+        """
+        rows = theta * self._factor[signal] + self._offset[signal]
+        active = active_effects(rows)
+        effects = bool(np.any(active & ~MOTOR_BIT))
+        order = np.arange(len(rows))
+        if not effects:
+            order = np.lexsort((rows[:, _LATENCY], longest_s, signal))
+        mask = wp.from_numpy(active, dtype=wp.int64, device="cpu")
+        inputs = [to_warp(rows), mask, zeros((len(rows), CELLS)), to_warp(signal.astype(np.int32))]
+        events, out = [*self._signals, to_warp(longest_s)], zeros((len(rows), self.length.max()))
+
+        def simulate(some: Index) -> None:
+            together, launches = (1, some.size) if effects else (some.size, 1)
+            given = [*inputs, to_warp(some.astype(np.int32)), together, *events]
+            wp.launch(KERNELS[effects, not effects], launches, given, [out], device="cpu")
+
+        # Neighbouring rows take as long as each other: each thread has every second part of them.
+        parts = np.array_split(order, max(1, len(rows) // 16))
+        shares = [np.concatenate(parts[k::2]) for k in range(min(2, len(parts)))]
+        list(_workers().map(simulate, shares))
+        angles: Array = out.numpy()
+        return angles
 
 
 @cache
-def workers(threads: int) -> ThreadPoolExecutor:
+def _workers() -> ThreadPoolExecutor:
     """Threads that rollouts share; none of their tasks may wait for another."""
-    return ThreadPoolExecutor(threads)
+    return ThreadPoolExecutor(2)
 
 
 def active_effects(rows: Array) -> NDArray[np.int64]:
@@ -226,34 +234,6 @@ def active_effects(rows: Array) -> NDArray[np.int64]:
     bits = np.array([MOTOR_BIT, *(1 << k for k in range(len(CATALOGUE)))])
     on = np.logical_or.reduceat(rows != 0, firsts, axis=1)
     return np.asarray(np.where(on, bits, 0).sum(axis=1))
-
-
-def simulate(
-    active: NDArray[np.int64],
-    latency: Array,
-    theta: Any,  # noqa: ANN401 - Warp has no stubs
-    signal: Integers,
-    signals: Sequence[Any],
-    longest: Array,
-    out: Any,  # noqa: ANN401
-    rows: Index | None = None,
-) -> None:
-    """Launch N rollouts; those without effects and with the same events in pairs.
-
-    Of each, (N,): its ``active_effects``, latency in s, index in ``signals``, the Warp arrays of
-    ``padded``, and ``longest`` sub-step in s. Parameters are a Warp array (N, P), the angles in rad
-    are written to ``out`` (N, T). ``rows`` (M,) are those to simulate; all by default.
-    """
-    N, effects = signal.size, bool(np.any(active & ~MOTOR_BIT))
-    pairs = not effects
-    order = np.arange(N) if rows is None else rows
-    if pairs:
-        order = order[np.lexsort((latency[order], longest[order], signal[order]))]
-    mask = wp.from_numpy(np.ascontiguousarray(active), dtype=wp.int64, device="cpu")
-    rows_at_once, launches = (order.size, 1) if pairs else (1, order.size)
-    places = [to_warp(x) for x in (signal, order.astype(np.int32))]
-    inputs = [theta, mask, zeros((N, CELLS)), *places, rows_at_once, *signals, to_warp(longest)]
-    wp.launch(KERNELS[effects, pairs], launches, inputs, [out], device="cpu")
 
 
 def to_warp(values: NDArray[Any]) -> Any:  # noqa: ANN401 - Warp has no stubs

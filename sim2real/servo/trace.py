@@ -82,7 +82,7 @@ class Trace:
 
     def standardised(self, values: Array) -> Array:
         """Residuals (T,) or (T, K) with the noise of a joint at rest."""
-        return values if self.spread is None else (values.T / self.spread).T
+        return (values.T / self.noise_ratio).T
 
     @property
     def error_ratio(self) -> Array:
@@ -159,8 +159,9 @@ def trace(recording: Recording, joint: str) -> Trace:
     powered = slice(0, recording.powered(j))
     position = recording.position[powered, j]
     t, command = recording.t[powered], recording.command[powered, j]
-    load = recording.columns.get(f"{joint}.load")
-    context = context_of(recording)
+    load, context, drive = recording.columns.get(f"{joint}.load"), context_of(recording), None
+    if load is not None:
+        drive = reported_drive(t, command, position, load[powered], context["sample_delay_s"])
     stated, varying = recording.loads.get(joint, PER_INERTIA), recording.varying_loads.get(joint)
     return Trace(
         name=recording.name,
@@ -171,9 +172,7 @@ def trace(recording: Recording, joint: str) -> Trace:
         load=stated if varying is None else Load(varying.mean_inertia_kgm2),
         varying=varying,
         used=np.isfinite(position),
-        drive=None
-        if load is None
-        else reported_drive(t, command, position, load[powered], context["sample_delay_s"]),
+        drive=drive,
         spread=None,
         slow=None,
         **context,

@@ -1,8 +1,9 @@
 """Warp kernels that turn many rollouts into whitened normal equations.
 
-A problem is one joint with one set of effects. Its rollouts are rows of ``angle``: for each of its
-recordings the servo itself and then V - 1 variants of it. Noise that is correlated in time is
-whitened by an autoregression with coefficients for each problem, or by a Kalman filter.
+A problem is one joint with one set of effects. Its rollouts are rows of ``angle``: ``rows`` has the
+index of that of each of its recordings and variants, the servo itself first, and -1 for absent
+ones. Noise that is correlated in time is whitened by an autoregression with coefficients for each
+problem, or by a Kalman filter.
 """
 
 from __future__ import annotations
@@ -12,53 +13,16 @@ import warp as wp
 from sim2real.effects.effect import Row, Table
 
 Rows = wp.array(dtype=wp.int32)
-
-
-@wp.kernel(enable_backward=False)
-def expand(
-    theta: Table, variant: Rows, signal: Rows, factor: Table, offset: Table, out: Table
-) -> None:
-    """Copy the parameters of its variant to each row, in the context of its recording."""
-    row = wp.tid()
-    for k in range(out.shape[1]):
-        out[row, k] = theta[variant[row], k] * factor[signal[row], k] + offset[signal[row], k]
-
-
-@wp.kernel(enable_backward=False)
-def difference(
-    base: Rows, signal: Rows, length: Rows, weight: Table, scale: Row, angle: Table
-) -> None:
-    """Replace the angles of variants by their scaled and weighted differences from their servo."""
-    row = wp.tid()
-    if base[row] != row:
-        for k in range(length[signal[row]]):
-            change = (angle[row, k] - angle[base[row], k]) * scale[row]
-            angle[row, k] = change * weight[signal[row], k]
-
-
-@wp.kernel(enable_backward=False)
-def residual(
-    base: Rows, signal: Rows, length: Rows, weight: Table, position: Table, angle: Table
-) -> None:
-    """Replace the angles of servos by weighted simulated minus measured ones, 0 where missing."""
-    row = wp.tid()
-    if base[row] == row:
-        for k in range(length[signal[row]]):
-            measured = position[signal[row], k]
-            if wp.isnan(measured):
-                angle[row, k] = wp.float64(0.0)
-            else:
-                angle[row, k] = (angle[row, k] - measured) * weight[signal[row], k]
+Places = wp.array3d(dtype=wp.int32)
+Counts = wp.array2d(dtype=wp.int32)
 
 
 @wp.kernel(enable_backward=False)
 def lag_products(
-    first: Rows,
-    recordings: Rows,
-    variants: Rows,
+    rows: Places,
     signal: Rows,
     length: Rows,
-    counts: wp.array2d(dtype=wp.int32),
+    counts: Counts,
     angle: Table,
     out: wp.array3d(dtype=wp.float64),
 ) -> None:
@@ -69,8 +33,10 @@ def lag_products(
     problem, separation = wp.tid()
     order = out.shape[1] - 1
     total = wp.float64(0.0)
-    for r in range(recordings[problem]):
-        row = first[problem] + r * variants[problem]
+    for r in range(rows.shape[1]):
+        row = rows[problem, r, 0]
+        if row < 0:
+            continue
         s = signal[row]
         counted = int(0)
         for k in range(order, length[s] + 1):
@@ -102,12 +68,7 @@ def four_before(k: int, x: Row) -> wp.vec4d:
 
 @wp.kernel(enable_backward=False)
 def whiten(
-    problem: Rows,
-    signal: Rows,
-    length: Rows,
-    counts: wp.array2d(dtype=wp.int32),
-    autoregression: Table,
-    angle: Table,
+    problem: Rows, signal: Rows, length: Rows, counts: Counts, autoregression: Table, angle: Table
 ) -> None:
     """Replace every sample by its innovation, 0 where the sample does not count."""
     row = wp.tid()
@@ -180,9 +141,7 @@ def whiten_slow(
 
 @wp.kernel(enable_backward=False)
 def gram(
-    first: Rows,
-    recordings: Rows,
-    variants: Rows,
+    rows: Places,
     signal: Rows,
     length: Rows,
     blocks: int,
@@ -196,19 +155,18 @@ def gram(
     ``j * V + i``, and those of each row i with itself at ``deep * V + i``.
     """
     problem, block, pair = wp.tid()
-    variant_count = variants[problem]
-    widest = out.shape[2] / (deep + 1)
-    j = pair / widest
-    i = pair - j * widest
+    j = pair / rows.shape[2]
+    i = pair - j * rows.shape[2]
     if j == deep:
         j = i
     r = block / blocks
-    if i >= variant_count or j > i or r >= recordings[problem]:
+    row = rows[problem, r, i]
+    other = rows[problem, r, j]
+    if row < 0 or other < 0 or j > i:
         return
-    row = first[problem] + r * variant_count
     count = length[signal[row]]
     part = block - r * blocks
     total = wp.float64(0.0)
     for k in range(part * count / blocks, (part + 1) * count / blocks):
-        total += angle[row + i, k] * angle[row + j, k]
+        total += angle[row, k] * angle[other, k]
     out[problem, block, pair] = total

@@ -22,7 +22,7 @@ from arm.pendulum import (
 
 from sim2real import verbs
 from sim2real.arm.arm_loads import measured_motion, with_arm_loads
-from sim2real.arm.multibody import Multibody
+from sim2real.arm.description import Multibody
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel, Model, read_model, write_model
 from sim2real.recording import Load

@@ -8,8 +8,7 @@ from simulated import one_joint, robot
 
 from sim2real.identification.identify import identify
 from sim2real.identification.problem import Fit, ServoProblem, plain_row
-from sim2real.identification.repeating_error import variance_components
-from sim2real.identification.uncertainty import uncertainty
+from sim2real.identification.uncertainty import uncertainty, variance_components
 from sim2real.inference.least_squares import robust_scale
 from sim2real.inference.parameters import Parameter
 from sim2real.model import FittedEffect

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sim2real.errors import InputError
-from sim2real.posterior.chain import convergence, new_chain, read_chain, require, run_chain, sample
+from sim2real.posterior.chain import new_chain, read_chain, require, run_chain
 
 WALKERS, FREE = 12, 2
 ORIGIN = {"centre": np.array([0.1, 0.2])}
@@ -109,14 +109,14 @@ def correlated(steps, phi, seed=0, walkers=12):
 
 
 def test_time_of_a_known_chain():
-    result = convergence(correlated(8000, 0.8))
+    result = correlated(8000, 0.8)
     np.testing.assert_allclose(result.times, 9.0, rtol=0.12)
     assert result.reached and result.thin == 4
     require(result, "posterior of j1", NAMES)
 
 
 def test_a_short_chain_is_refused_and_told_how_long_it_must_be():
-    result = convergence(correlated(300, 0.95, seed=2))
+    result = correlated(300, 0.95, seed=2)
     assert not result.reached
     with pytest.raises(InputError, match="run again with --steps [0-9]+: the chain continues") as e:
         require(result, "posterior of j1", NAMES)
@@ -126,16 +126,15 @@ def test_a_short_chain_is_refused_and_told_how_long_it_must_be():
 
 def test_a_chain_that_stands_still_is_refused():
     chain = correlated(200, 0.5)
-    result = convergence(replace(chain, coordinates=np.ones_like(chain.coordinates)))
-    assert not result.reached
+    still = replace(chain, coordinates=np.ones_like(chain.coordinates))
+    assert not still.reached
 
 
 def test_what_is_kept():
     chain = correlated(4000, 0.8)
-    result = convergence(chain)
-    draws = sample(chain, result)
-    assert draws.shape == (len(range(result.burn_in, 4000, result.thin)) * 12, 2)
-    assert np.array_equal(draws[:12], chain.coordinates[result.burn_in])
+    draws = chain.sample()
+    assert draws.shape == (len(range(chain.burn_in, 4000, chain.thin)) * 12, 2)
+    assert np.array_equal(draws[:12], chain.coordinates[chain.burn_in])
 
 
 @pytest.mark.parametrize("phi", [0.9, 0.98])
@@ -144,15 +143,15 @@ def test_the_steps_that_a_message_names_are_enough(phi, share):
     """Chains that stop at a share of what they need, and the same chains after those steps."""
     time = (1 + phi) / (1 - phi)
     for seed in range(5):
-        short = convergence(correlated(int(share * 50 * time), phi, seed))
+        short = correlated(int(share * 50 * time), phi, seed)
         needed = short.needed
         assert needed <= 12 * 50 * time
-        assert convergence(correlated(needed, phi, seed)).reached
+        assert correlated(needed, phi, seed).reached
 
 
 def test_a_chain_ends_once_it_is_long_enough():
     found = run_chain(begun(3), skewed, 5000, spans=60)
-    assert convergence(found).spans >= 60
+    assert found.spans >= 60
     assert found.steps < 2500
     whole = run_chain(begun(3), skewed, found.steps)
     assert (whole.coordinates == found.coordinates).all()

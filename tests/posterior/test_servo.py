@@ -12,8 +12,7 @@ from sim2real.identification.search import fit
 from sim2real.identification.uncertainty import uncertainty
 from sim2real.model import FittedEffect, JointModel
 from sim2real.posterior.posteriors import joint_sample, read_sample, write_sample
-from sim2real.posterior.predictive_check import predictive_check
-from sim2real.posterior.servo import sample_servo, servo_problem
+from sim2real.posterior.servo import predictive_check, sample_servo, servo_problem
 from sim2real.recording import Load
 from sim2real.robot import Servo
 
@@ -35,8 +34,8 @@ def test_it_finds_the_servo_and_says_how_sure(found):
     low, middle, high = found.quantiles(0.01, 0.5, 0.99)
     assert (low < TRUTH).all() and (high > TRUTH).all()
     np.testing.assert_allclose(middle, TRUTH, rtol=0.01)
-    assert found.convergence.reached
-    assert found.noise_sd == pytest.approx(simulated.NOISE, rel=0.15)
+    assert found.chain.reached
+    assert found.chain.origin["noise"][0] == pytest.approx(simulated.NOISE, rel=0.15)
 
 
 def test_its_widths_are_those_of_the_fit(given, found):
@@ -45,7 +44,7 @@ def test_its_widths_are_those_of_the_fit(given, found):
     expected = best.problem.values(best.x + [[0.0], [1.0]] * spread.sd)
     sd = found.values.std(axis=0)
     np.testing.assert_allclose(sd, np.abs(np.diff(expected, axis=0)[0]), rtol=0.15)
-    between = spread.correlation[[0, 0, 1], [1, 2, 2]]
+    between = list(spread.correlation(best.names).values())
     sampled = np.corrcoef(found.values.T)[[0, 0, 1], [1, 2, 2]]
     np.testing.assert_allclose(sampled, between, atol=0.1)
 

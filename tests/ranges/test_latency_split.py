@@ -11,7 +11,7 @@ from good_input import message
 
 import sim2real as s2r
 from sim2real.model import JointModel, Model
-from sim2real.ranges.latency_split import split_latency
+from sim2real.ranges.latency import split_latency
 from sim2real.servo.prediction import predict
 
 sys.path.append(str(Path(__file__).parents[1] / "importers"))

@@ -8,12 +8,11 @@ from simulated import traced
 
 from sim2real.diagnose.servo_search import baselines
 from sim2real.diagnose.torque_speed_line import with_stated_line
-from sim2real.identification.servo_problem import LINE_COLUMNS
 from sim2real.inference.correlated_noise import SlowErrors
 from sim2real.recording import Load
 from sim2real.robot import Servo
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.parameters import COLUMNS
+from sim2real.servo.parameters import COLUMNS, LINE_COLUMNS
 from sim2real.servo.rollout import to_warp
 from sim2real.servo.slow_noise import SlowNoise, slow_errors
 
