@@ -15,7 +15,6 @@ import warnings
 from collections.abc import Sequence
 from functools import partial
 
-from sim2real.commands.command import Command
 from sim2real.commands.files import check_files
 from sim2real.commands.streams import Lenient, occupy_standard_descriptors, run_as_json
 from sim2real.errors import InputError, missing_library
@@ -162,13 +161,13 @@ def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
     commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, (home, summary) in COMMANDS.items():
         included = only is None or name in only
-        entry = find(name, home) if included else None
+        entry = importlib.import_module(home).COMMANDS[name] if included else None
         command = commands.add_parser(
             name,
             parents=[_COMMON],
             help=summary,
             description=summary[0].upper() + summary[1:] + ".",
-            epilog=f"example:\n  {entry.example}" if entry else None,
+            epilog=f"example:\n  sim2real {name} {entry.example}" if entry else None,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         if entry:
@@ -188,12 +187,6 @@ class _Version(argparse.Action):
 
         print(f"{parser.prog} {__version__}")
         parser.exit()
-
-
-def find(name: str, home: str) -> Command:
-    """The command of that name in a file of options."""
-    listed: tuple[Command, ...] = importlib.import_module(home).COMMANDS
-    return next(command for command in listed if command.name == name)
 
 
 if __name__ == "__main__":

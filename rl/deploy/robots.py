@@ -23,13 +23,13 @@ from rl.deploy.link import (
     SILENCE_S,
     TRACKER_S,
     Telemetry,
-    opened,
     read_set_points,
     read_telemetry,
     telemetry_bytes,
 )
 from rl.observer import CONTROL_S
 from sim2real.arrays import Array
+from sim2real.hardware.datagram import opened
 from sim2real.hardware.mounting import Mounting
 from sim2real.hardware.servo_bus import ServoBus, Stopped, reason
 from sim2real.hardware.session import approach, let_go, note_changes

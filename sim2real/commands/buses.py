@@ -108,8 +108,8 @@ def virtual_servo(options: argparse.Namespace) -> int:
 
     with interruption() as stop, priority():
         if options.udp:
-            key, where = shared_key(), _address(options.udp)
-            serve_udp(bus, where, announce, stop, rng=rng, loss=options.loss, key=key)
+            more = {"loss": options.loss, "key": shared_key()}
+            serve_udp(bus, options.udp, announce, stop, rng=rng, **more)
         else:
             serve_terminal(bus, announce, stop)
     return 0
@@ -142,10 +142,3 @@ def _laws(options: argparse.Namespace, count: int) -> list[Law]:
     return [
         Law(j.kp_Nm_per_rad, j.kd_Nms_per_rad, j.latency_s, j.inertia_kgm2) for j in joints[:count]
     ]
-
-
-def _address(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    if not port.isdigit() or int(port) > 65535:
-        raise InputError("--udp", "", repr(text), "HOST:PORT, as 127.0.0.1:0")
-    return host or "127.0.0.1", int(port)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sim2real.commands.command import commands
+from sim2real.commands.command import Command
 
 _PORT = "--port URL{}: port: /dev/ttyUSB0, socket://HOST:PORT or udp://HOST:PORT"
 _BUS = """
@@ -86,37 +86,33 @@ _DICTIONARIES = (
 
 _BUSES, _CAMERA = "sim2real.commands.buses", "sim2real.commands.camera"
 
-COMMANDS = commands(
-    {
-        "record": (
-            "sim2real.commands.record",
-            [_RECORD, _PORT.format(""), _BUS, _DRIVEN],
-            "steps --robot robot.toml --port /dev/ttyUSB0 --ids 1,2,3 --out steps.csv",
-        ),
-        "bench": (
-            "sim2real.commands.bench",
-            [_PORT.format("!"), _BUS, _BENCH, _DRIVEN],
-            "--bus feetech --port /dev/ttyUSB0 --ids 1 --mass 0.1 --arm 0.12",
-        ),
-        "scan": (
-            f"{_BUSES}:scan",
-            [_PORT.format("!"), _BUS, "--ids LIST = 0-253: ids to ask, such as 1,2,10-20"],
-            "--port /dev/ttyUSB0",
-        ),
-        "virtual-servo": (
-            f"{_BUSES}:virtual_servo",
-            [_BUS, _VIRTUAL_SERVO],
-            "--ids 1,2,3 --loss 0.02 --noise 0.001",
-        ),
-        "track": (
-            f"{_CAMERA}:track_video",
-            [_TRACK],
-            "swim.mp4 --camera camera.toml --servo servos.csv --out swim.csv",
-        ),
-        "calibrate-camera": (
-            f"{_CAMERA}:calibrate_camera",
-            [_CALIBRATE_CAMERA.format(_DICTIONARIES)],
-            "board.mp4 --corners 98,429 516,441 529,22 110,8 --out camera.toml",
-        ),
-    }
-)
+COMMANDS = {
+    "record": Command(
+        "sim2real.commands.record",
+        [_RECORD, _PORT.format(""), _BUS, _DRIVEN],
+        "steps --robot robot.toml --port /dev/ttyUSB0 --ids 1,2,3 --out steps.csv",
+    ),
+    "bench": Command(
+        "sim2real.commands.bench",
+        [_PORT.format("!"), _BUS, _BENCH, _DRIVEN],
+        "--bus feetech --port /dev/ttyUSB0 --ids 1 --mass 0.1 --arm 0.12",
+    ),
+    "scan": Command(
+        f"{_BUSES}:scan",
+        [_PORT.format("!"), _BUS, "--ids LIST = 0-253: ids to ask, such as 1,2,10-20"],
+        "--port /dev/ttyUSB0",
+    ),
+    "virtual-servo": Command(
+        f"{_BUSES}:virtual_servo", [_BUS, _VIRTUAL_SERVO], "--ids 1,2,3 --loss 0.02 --noise 0.001"
+    ),
+    "track": Command(
+        f"{_CAMERA}:track_video",
+        [_TRACK],
+        "swim.mp4 --camera camera.toml --servo servos.csv --out swim.csv",
+    ),
+    "calibrate-camera": Command(
+        f"{_CAMERA}:calibrate_camera",
+        [_CALIBRATE_CAMERA.format(_DICTIONARIES)],
+        "board.mp4 --corners 98,429 516,441 529,22 110,8 --out camera.toml",
+    ),
+}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sim2real import exchange, verbs
-from sim2real.commands.command import VIEWS, command, commands
+from sim2real.commands.command import VIEWS, Command
 
 _RUNS, _EXPORTS = "sim2real.commands.recordings", "sim2real.commands.exports"
 _IMPORTS = "sim2real.commands.import_logs"
@@ -31,13 +31,6 @@ model MODEL: identified servos (MODEL.json)
 --to mujoco|mjlab|isaaclab|isaaclab-bam|newton|usd|genesis|urdf|casadi|json!: simulator or
     format to write for
 --out FILE!: file to write
---robot TOML: the robot, for joint limits and data sheets (robot.toml)
---recordings RECORDING+: recordings to refit to if the simulator lacks an effect of the model, and
-    to compare with; the last is held out (default: the model's own predictions)
---into FILE: MJCF of a robot that the servo is written into, a copy of it (mujoco; with --joint)
---joint JOINT+: hinges of the robot that get the servo of their name, or the model's only one
---which nearest|effects|plain = nearest: export the effects of the model, a plain servo without
-    them, or whichever of both is nearer to the recordings
 """
 _EXPORT_RANGES = """
 ranges FILE: randomization ranges (ranges.json)
@@ -77,68 +70,57 @@ _IMPORT = """
 """
 
 
-COMMANDS = commands(
-    {
-        "example": (
-            f"{_RUNS}:example",
-            ["--out FOLDER = example: folder to write"],
-            "--out example",
-        ),
-        "check": (f"{_RUNS}:check", [verbs.check], "steps.csv sine.csv --robot robot.toml"),
-        "identify": (
-            f"{_RUNS}:identify",
-            [verbs.identify, _IDENTIFY, VIEWS],
-            "steps.csv sine.csv square.csv --robot robot.toml --out model.json",
-        ),
-        "density": (
-            f"{_RUNS}:density",
-            [_DENSITY, verbs.density],
-            "robot.toml --model model.json --out weighed.json",
-        ),
-        "predict": (
-            f"{_RUNS}:predict",
-            [_PREDICT, VIEWS],
-            "model.json chirp.csv --out predicted.csv",
-        ),
-        "latency": (
-            f"{_RUNS}:latency",
-            [verbs.latency, _LATENCY],
-            "steps.csv square.csv --out latency.json",
-        ),
-        "completion": (
-            f"{_RUNS}:completion",
-            ["shell bash|zsh|tcsh: shell to write the script for"],
-            "bash > ~/.local/share/bash-completion/completions/sim2real",
-        ),
-        "import": (
-            _IMPORTS,
-            [_IMPORT, exchange.import_log],
-            "run.bag --state-topic /joint_states --command-topic /goal --out run.csv",
-        ),
-        "robot": (f"{_IMPORTS}:robot", [_ROBOT], "from-urdf arm.urdf --out robot.toml"),
-        "export-servo": (
-            f"{_EXPORTS}:export_servo",
-            [_EXPORT_SERVO],
-            "diagnosis.enriched.json --to mujoco --out servos.xml --recordings steps.csv chirp.csv",
-        ),
-        "export-ranges": (
-            f"{_EXPORTS}:export_ranges",
-            [_EXPORT_RANGES],
-            "ranges.json --to isaaclab --out randomization.py",
-        ),
-        "servos": (
-            "sim2real.commands.servos",
-            [_SERVOS],
-            "xl330_gain800 --joints pan tilt --out model.json",
-        ),
-    }
-) + (
-    command(
-        "ranges",
+COMMANDS = {
+    "example": Command(
+        f"{_RUNS}:example", ["--out FOLDER = example: folder to write"], "--out example"
+    ),
+    "check": Command(f"{_RUNS}:check", [verbs.check], "steps.csv sine.csv --robot robot.toml"),
+    "identify": Command(
+        f"{_RUNS}:identify",
+        [verbs.identify, _IDENTIFY, VIEWS],
+        "steps.csv sine.csv square.csv --robot robot.toml --out model.json",
+    ),
+    "density": Command(
+        f"{_RUNS}:density",
+        [_DENSITY, verbs.density],
+        "robot.toml --model model.json --out weighed.json",
+    ),
+    "predict": Command(
+        f"{_RUNS}:predict", [_PREDICT, VIEWS], "model.json chirp.csv --out predicted.csv"
+    ),
+    "latency": Command(
+        f"{_RUNS}:latency", [verbs.latency, _LATENCY], "steps.csv square.csv --out latency.json"
+    ),
+    "completion": Command(
+        f"{_RUNS}:completion",
+        ["shell bash|zsh|tcsh: shell to write the script for"],
+        "bash > ~/.local/share/bash-completion/completions/sim2real",
+    ),
+    "import": Command(
+        _IMPORTS,
+        [_IMPORT, exchange.import_log],
+        "run.bag --state-topic /joint_states --command-topic /goal --out run.csv",
+    ),
+    "robot": Command(f"{_IMPORTS}:robot", [_ROBOT], "from-urdf arm.urdf --out robot.toml"),
+    "export-servo": Command(
+        f"{_EXPORTS}:export_servo",
+        [_EXPORT_SERVO, exchange.export],
+        "diagnosis.enriched.json --to mujoco --out servos.xml --recordings steps.csv chirp.csv",
+        leave_out=("source",),
+    ),
+    "export-ranges": Command(
+        f"{_EXPORTS}:export_ranges",
+        [_EXPORT_RANGES],
+        "ranges.json --to isaaclab --out randomization.py",
+    ),
+    "servos": Command(
+        "sim2real.commands.servos", [_SERVOS], "xl330_gain800 --joints pan tilt --out model.json"
+    ),
+    "ranges": Command(
         f"{_RUNS}:ranges",
         [verbs.ranges, _RANGES],
         "steps.csv square.csv --robot robot.toml --model model.json --out ranges.json",
         resumes=True,
         leave_out=("chains",),
     ),
-)
+}

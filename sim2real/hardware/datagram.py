@@ -22,15 +22,16 @@ from __future__ import annotations
 
 import hmac
 import os
+import socket
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from sim2real.errors import InputError
 from sim2real.structured import read_text
 
 VARIABLE = "SIM2REAL_KEY"
-SHORTEST, CODE_BYTES = 16, 16
-"""Characters of a key, bytes of a code."""
+CODE_BYTES = 16
 MARK, SEALED_MARK = b"\x4c\x58", b"\x4c\x59"
 HALF = 8
 """Bytes of a session that each end chooses."""
@@ -46,12 +47,31 @@ _CLOCK = 8
 
 @dataclass(frozen=True, slots=True)
 class Datagram:
-    """A parsed datagram; ``number``, ``clock_s`` and ``session`` are None if it has none."""
+    """A parsed datagram; ``number`` and ``clock_s`` are None, ``session`` empty if it has none."""
 
     data: bytes
     number: int | None = None
     clock_s: float | None = None
-    session: bytes | None = None
+    session: bytes = b""
+
+
+def opened(url: str, option: str, expected: str, *, bind: bool = False) -> socket.socket:
+    """A UDP socket that does not block, connected to ``udp://HOST:PORT`` or bound to it."""
+    end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    end.setblocking(False)
+    try:
+        address = urlsplit(url)
+        if address.scheme != "udp":
+            raise ValueError("not udp")
+        if bind:
+            end.bind((address.hostname or "127.0.0.1", address.port or 0))
+        else:
+            end.connect((address.hostname, address.port or 0))
+            end.getpeername()
+    except (OSError, ValueError, UnicodeError, OverflowError, TypeError) as error:
+        end.close()
+        raise InputError(option, "", f"{url!r} ({error})", expected) from None
+    return end
 
 
 def request(number: int, data: bytes, session: bytes = b"", key: bytes | None = None) -> bytes:
@@ -95,30 +115,26 @@ def read_answer(datagram: bytes, key: bytes | None = None) -> Datagram | None:
     return Datagram(parsed.data[_CLOCK:], parsed.number, clock, parsed.session)
 
 
-def shared_key(file: str | os.PathLike[str] | None = None) -> bytes | None:
+def shared_key(file: str | os.PathLike[str] | None = None, *, shortest: int = 16) -> bytes | None:
     """The key in a file, or by default in ``SIM2REAL_KEY``; None if there is none."""
     text = os.environ.get(VARIABLE) if file is None else read_text(Path(file))
     if text is None:
         return None
     key = text.strip()
-    if len(key) < SHORTEST:
+    if len(key) < shortest:
         found = f"a key of {len(key)} characters"
-        raise InputError(VARIABLE if file is None else file, "", found, f"at least {SHORTEST}")
+        raise InputError(file or VARIABLE, "", found, f"at least {shortest}")
     return key.encode()
 
 
 def sealed(content: bytes, key: bytes | None) -> bytes:
     """The datagram with ``content``; the content alone without a key."""
-    return content if key is None else content + _code(content, key)
+    return content if key is None else content + hmac.digest(key, content, "sha256")[:CODE_BYTES]
 
 
 def unsealed(datagram: bytes, key: bytes | None) -> bytes | None:
     """The content of a datagram; None if it was sealed with another key or not at all."""
     if key is None:
         return datagram
-    content, code = datagram[:-CODE_BYTES], datagram[-CODE_BYTES:]
-    return content if hmac.compare_digest(code, _code(content, key)) else None
-
-
-def _code(content: bytes, key: bytes) -> bytes:
-    return hmac.digest(key, content, "sha256")[:CODE_BYTES]
+    content = datagram[:-CODE_BYTES]
+    return content if hmac.compare_digest(datagram, sealed(content, key)) else None

@@ -7,7 +7,6 @@ import math
 import os
 import secrets
 import select
-import socket
 import time
 from collections.abc import Callable
 
@@ -21,8 +20,8 @@ from sim2real.hardware.datagram import (
     NUMBERS,
     SEALED_NUMBERS,
     SILENCE_S,
-    Datagram,
     answer,
+    opened,
     read_request,
 )
 from sim2real.hardware.virtual_bus import VirtualBus
@@ -71,7 +70,7 @@ def _rate(device: int) -> int | None:
 
 def serve_udp(
     bus: VirtualBus,
-    address: tuple[str, int],
+    address: str,
     announce: Callable[[str], object],
     stop: Callable[[], bool],
     *,
@@ -79,27 +78,22 @@ def serve_udp(
     loss: float = 0.0,
     key: bytes | None = None,
 ) -> None:
-    """Serve a radio until ``stop``, with this share of lost datagrams; port 0 is any free one."""
-    radio = VirtualRadio(key)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as socket_:
-        try:
-            socket_.bind(address)
-        except (OSError, OverflowError) as error:
-            problem = f"{address[0]}:{address[1]} ({error})"
-            raise InputError("--udp", "", problem, "an address of this computer") from None
-        host, port = socket_.getsockname()
+    """Serve a radio at HOST:PORT until ``stop``; it loses this share of datagrams each way."""
+    radio, expected = VirtualRadio(key), "HOST:PORT of this computer, as 127.0.0.1:0"
+    with opened(f"udp://{address}", "--udp", expected, bind=True) as end:
+        host, port = end.getsockname()
         announce(f"udp://{host}:{port}")
         while not stop():
-            if select.select([socket_], [], [], TICK_S)[0]:
-                with contextlib.suppress(ConnectionRefusedError):
-                    datagram, sender = socket_.recvfrom(LARGEST)
+            if select.select([end], [], [], TICK_S)[0]:
+                with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
+                    datagram, sender = end.recvfrom(LARGEST)
                     clock = time.monotonic()
                     heard = rng.random() >= loss
                     packets = radio.receive(datagram, sender, clock) if heard else None
                     if packets is not None:
                         reply = radio.answer(clock, b"".join(bus.receive(packets)))
                         if rng.random() >= loss:
-                            socket_.sendto(reply, sender)
+                            end.sendto(reply, sender)
             bus.advance()
 
 
@@ -109,45 +103,38 @@ class VirtualRadio:
     def __init__(self, key: bytes | None = None) -> None:
         self._key, self._numbers = key, NUMBERS if key is None else SEALED_NUMBERS
         self._sender: object = None
-        self._session: bytes | None = None
+        self._session, self._heard = b"", -math.inf
         self._number: int | None = None
-        self._heard = -math.inf
 
     def receive(self, datagram: bytes, sender: object, now: float) -> bytes | None:
         """Packets for the servos; None for a datagram that is a stranger's, old or invalid."""
         request = read_request(datagram, self._key)
         if request is None:
             return None
-        held = now - self._heard <= SILENCE_S
+        held, last = now - self._heard <= SILENCE_S, self._number
         if self._key is not None and request.number == 0:
-            return self._begin(request, sender, now) if not held or self._number == 0 else None
-        ours = (sender, request.session) == (self._sender, self._session)
-        anyone = self._key is None and not held
-        if not anyone and not (ours and self._fresh(request.number)):
-            return None
+            own = request.session[:HALF]
+            if held:  # the request for this session may be repeated
+                return (
+                    b"" if (sender, own, 0) == (self._sender, self._session[:HALF], last) else None
+                )
+            self._session = own + secrets.token_bytes(HALF)
+            self._sender, self._number, self._heard = sender, 0, now
+            return b""
+        if held or self._key is not None:
+            step = 1  # those without a number are of a bridge
+            if request.number is not None and last is not None:
+                step = (request.number - last) % self._numbers
+            ours = (sender, request.session) == (self._sender, self._session)
+            if not ours or not 0 < step <= AHEAD:
+                return None
         self._sender, self._session, self._number = sender, request.session, request.number
         released = request.number is not None and not request.data
         self._heard = -math.inf if released else now
         return request.data
 
-    def _begin(self, request: Datagram, sender: object, now: float) -> bytes | None:
-        """Answer the first datagram of a session, with the same session if it is repeated."""
-        half = (request.session or b"")[:HALF]
-        again = self._session is not None and (sender, half) == (self._sender, self._session[:HALF])
-        if now - self._heard <= SILENCE_S:
-            return b"" if again else None
-        self._session = half + secrets.token_bytes(HALF)
-        self._sender, self._number, self._heard = sender, 0, now
-        return b""
-
-    def _fresh(self, number: int | None) -> bool:
-        """Whether a number is a little larger than the last; those without are of a bridge."""
-        if number is None or self._number is None:
-            return True
-        return 0 < (number - self._number) % self._numbers <= AHEAD
-
     def answer(self, clock_s: float, replies: bytes) -> bytes:
         """The datagram that answers the last request."""
         if self._number is None:
             return replies
-        return answer(self._number, clock_s, replies, self._session or b"", self._key)
+        return answer(self._number, clock_s, replies, self._session, self._key)

@@ -58,7 +58,7 @@ def test_help_has_an_example(command, capsys):
 
 def test_every_command_of_a_file_of_options_is_listed():
     listed = {home for home, _ in cli.COMMANDS.values()}
-    found = {one.name: home for home in listed for one in importlib.import_module(home).COMMANDS}
+    found = {name: home for home in listed for name in importlib.import_module(home).COMMANDS}
     assert found == {name: home for name, (home, _) in cli.COMMANDS.items()}
 
 

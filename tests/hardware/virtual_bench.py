@@ -69,9 +69,8 @@ class Served:
         bus = VirtualBus(self.servos, kind.protocol, rng, baud=baud, **line)
         stop = self._pulled.is_set
         if udp:
-            where = ("127.0.0.1", 0)
             given = {"rng": np.random.default_rng(1), "key": key, "loss": loss}
-            arguments = (bus, where, announce, stop)
+            arguments = (bus, "127.0.0.1:0", announce, stop)
         else:
             given, arguments = {}, (bus, announce, stop)
 
