@@ -124,7 +124,7 @@ def _on_bus(
             priority(),
             connection(options.bus, options.port, options.baud) as link,
             bus_robot(
-                link, mounted(link, robot, wiring), rest, options.pose,
+                link, mounted(link.bus, robot, wiring), rest, options.pose,
                 hottest_C=options.max_temperature, interrupted=stop, key=key,
             ) as (url, driven),
         ):  # fmt: skip

@@ -32,7 +32,7 @@ from sim2real.arrays import Array
 from sim2real.hardware.datagram import opened
 from sim2real.hardware.mounting import Mounting
 from sim2real.hardware.servo_bus import ServoBus, Stopped, reason
-from sim2real.hardware.session import approach, let_go, note_changes
+from sim2real.hardware.session import approach
 
 if TYPE_CHECKING:
     from sim.twin.twin import Twin
@@ -262,7 +262,8 @@ def bus_robot(
     """
     expected = "udp://HOST:PORT of this computer, where poses arrive"
     with opened(poses, "--pose", expected, bind=True) as listener:
-        changed = note_changes(connection, mountings)
+        ids = [mounting.servo_id for mounting in mountings]
+        changed = connection.note(ids)
         try:
             approach(
                 connection.bus, mountings, [float(angle) for angle in rest],
@@ -273,7 +274,7 @@ def bus_robot(
             with served(robot) as url:
                 yield url, robot
         finally:
-            held = let_go(connection, mountings, changed)
+            held = connection.release(changed, ids)
         if held:
-            names = ", ".join(mounting.joint.name for mounting in held)
+            names = ", ".join(m.joint.name for m in mountings if m.servo_id in held)
             raise Stopped(f"the torque of {names} may still be on: switch off the supply")

@@ -11,20 +11,23 @@ import numpy as np
 from sim2real import verbs
 from sim2real.check import check
 from sim2real.commands.command import numbers
-from sim2real.commands.record import check_temperature, sidecar
+from sim2real.commands.record import check_new, check_temperature, report, sidecar
 from sim2real.errors import InputError, if_installed
-from sim2real.hardware.bench import Weight, loads, robot_text, scan, table
+from sim2real.hardware.bench import load_of, robot_text, scan, table
 from sim2real.hardware.buses import Connection, bus_class, connection
 from sim2real.hardware.mounting import Wiring, check_ids
-from sim2real.hardware.servo_bus import PATIENCE_S, Found, Stopped
-from sim2real.hardware.session import RATE_HZ, bus_settings, drive, mounted, priority
+from sim2real.hardware.recorder import Run
+from sim2real.hardware.servo_bus import PATIENCE_S, Stopped
+from sim2real.hardware.session import RATE_HZ, drive, priority
 from sim2real.model import Model, write_model
-from sim2real.output import check_writable, provenance, write_whole
+from sim2real.output import provenance, write_whole
 from sim2real.recording import Recording, read_recording
 from sim2real.robot import Robot, read_robot
 from sim2real.servo.prediction import replay
 from sim2real.signals import excitation
 
+Load = dict[str, float]
+"""A load as in a recording's JSON; empty if it is unknown."""
 FILES = ("robot.toml", "steps.csv", "steps.json", "model.json", "index.html")
 
 
@@ -32,67 +35,57 @@ def run(options: argparse.Namespace) -> int:
     """Scan, record steps, identify, and write a page; 1 if the recording stopped early, else 0."""
     ids = numbers("--ids", options.ids, int, "numbers, as 1,2,3")
     check_ids(ids, bus_class(options.bus).protocol.largest_id)
-    _check(options)
-    folder = options.out
-    given = _given_loads(options, ids)
+    check_temperature(options.max_temperature)
+    for name in FILES[options.robot is not None :]:
+        check_new(options.out / name, options)
+    loads, steps = _given_loads(options, len(ids)), options.out / "steps.csv"
     with priority(), connection(options.bus, options.port, options.baud) as link:
         try:
-            servos = _found(link, ids)
-            print(table(servos))
-            text = None if options.robot else robot_text(options.bus, servos, options.reach)
-            if given is None:
-                given = [_asked(servo_id) for servo_id in ids]
-            if text is not None:
-                write_whole(folder / "robot.toml", text)
-            robot = read_robot(options.robot or folder / "robot.toml")
-            status = _record(options, link, robot, ids, given)
+            robot, result = _recorded(options, link, ids, loads)
         except (Stopped, OSError) as error:
             print(f"sim2real bench: {error}", file=sys.stderr)
             return 1
         finally:
-            if options.robot is None and not (folder / "steps.csv").exists():
-                (folder / "robot.toml").unlink(missing_ok=True)
-    if status:
+            if options.robot is None and not steps.exists():
+                (options.out / "robot.toml").unlink(missing_ok=True)
+    if status := report("bench", steps, result):
         return status
-    recording = read_recording(folder / "steps.csv")
+    recording = read_recording(steps)
     model = verbs.identify([recording], robot, seed=options.seed)
-    write_model(model, folder / "model.json")
+    write_model(model, options.out / "model.json")
     print(model)
     _write_page(options, recording, robot, model)
     return 0
 
 
-def _record(
-    options: argparse.Namespace,
-    link: Connection,
-    robot: Robot,
-    ids: Sequence[int],
-    given: Sequence[Weight | float | None],
-) -> int:
-    """Record steps of all joints."""
-    wiring = Wiring(ids)
-    wiring.check(robot, link.bus.protocol.largest_id)
+def _recorded(
+    options: argparse.Namespace, link: Connection, ids: Sequence[int], loads: list[Load] | None
+) -> tuple[Robot, Run]:
+    """Find the servos, ask for their loads unless they are given, and record steps of all."""
+    servos, _ = scan(link.bus, ids, PATIENCE_S)
+    if missing := sorted(set(ids) - {servo.servo_id for servo in servos}):
+        asked = f"servo {', '.join(map(str, missing))} ({link.bus.name}, {link.bus.baud} baud)"
+        raise Stopped(f"no reply from {asked}: check supply, --ids, --bus and --baud")
+    print(table(servos))
+    text = None if options.robot else robot_text(options.bus, servos, options.reach)
+    if loads is None:
+        loads = [_asked(servo_id, _hangs(options)) for servo_id in ids]
+    if text is not None:
+        write_whole(options.out / "robot.toml", text)
+    robot, wiring = read_robot(options.robot or options.out / "robot.toml"), Wiring(ids)
+    joints = wiring.check(robot, link.bus.protocol.largest_id)
     rng = np.random.default_rng(options.seed)
     signal = excitation("steps", robot.joints, seconds=options.seconds, rate_hz=RATE_HZ, rng=rng)
-    mountings = mounted(link, robot, wiring)
     sent = sidecar(
         signal,
-        {"loads": loads(signal.joints, given, hangs=options.shaft == "horizontal")},
+        {"loads": {joint: load for joint, load in zip(joints, loads, strict=True) if load}},
         name="steps",
         medium="air",
         source="Recorded by 'sim2real bench'.",
-        bus=bus_settings(link, options.port, mountings),
         provenance=provenance([robot], options.seed),
     )
-    out = options.out / "steps.csv"
-    result = drive(link, mountings, signal, out, sent, hottest_C=options.max_temperature)
-    problem = f"{result.stopped}; " if result.stopped else ""
-    line = f"{problem}{result.written(out)}; {result.torque}"
-    if problem or result.unreleased:
-        print(f"sim2real bench: {line}", file=sys.stderr)
-        return 1
-    print(line)
-    return 0
+    steps, limit = options.out / "steps.csv", options.max_temperature
+    return robot, drive(link, robot, wiring, signal, steps, sent, hottest_C=limit)
 
 
 def _write_page(
@@ -113,48 +106,33 @@ def _write_page(
         print(f"\npage: {page}")
 
 
-def _found(link: Connection, ids: Sequence[int]) -> list[Found]:
-    servos, _ = scan(link.bus, ids, PATIENCE_S)
-    missing = sorted(set(ids) - {servo.servo_id for servo in servos})
-    if missing:
-        asked = f"servo {', '.join(map(str, missing))} ({link.bus.name}, {link.bus.baud} baud)"
-        raise Stopped(f"no reply from {asked}: check supply, --ids, --bus and --baud")
-    return servos
-
-
-def _check(options: argparse.Namespace) -> None:
-    check_temperature(options.max_temperature)
-    for name in FILES[options.robot is not None :]:
-        path = check_writable(options.out / name)
-        if path.exists() and not options.overwrite:
-            raise InputError(path, "", "a file already", "another --out, or --overwrite")
-
-
-def _given_loads(
-    options: argparse.Namespace, ids: Sequence[int]
-) -> list[Weight | float | None] | None:
+def _given_loads(options: argparse.Namespace, count: int) -> list[Load] | None:
     """Loads from the options; None if they have to be asked for."""
     if options.unknown_load:
-        return [None] * len(ids)
+        return [{}] * count
     if options.inertia is not None:
-        return list(_positive("--inertia", options.inertia, len(ids)))
+        return [{"inertia_kgm2": x} for x in _positive("--inertia", options.inertia, count)]
     if options.mass is not None or options.arm is not None:
-        masses = _positive("--mass", options.mass, len(ids))
-        arms = _positive("--arm", options.arm, len(ids))
-        return [Weight(mass, arm) for mass, arm in zip(masses, arms, strict=True)]
+        masses = _positive("--mass", options.mass, count)
+        arms, hangs = _positive("--arm", options.arm, count), _hangs(options)
+        return [load_of(*pair, hangs=hangs) for pair in zip(masses, arms, strict=True)]
     if not sys.stdin.isatty():
         expected = "--mass and --arm, --inertia or --unknown-load"
         raise InputError("--mass", "", "no load, and no terminal to ask", expected)
     return None
 
 
-def _asked(servo_id: int) -> Weight | None:
-    """The load, asked for on the terminal; None if it is unknown."""
+def _hangs(options: argparse.Namespace) -> bool:
+    return bool(options.shaft == "horizontal")
+
+
+def _asked(servo_id: int, hangs: bool) -> Load:
+    """The load, asked for on the terminal; empty if it is unknown."""
     mass = _answer(f"mass of the load on servo {servo_id}, kg (empty: unknown): ")
     while mass is not None:
         if arm := _answer("distance of its centre from the shaft, m: "):
-            return Weight(mass, arm)
-    return None
+            return load_of(mass, arm, hangs=hangs)
+    return {}
 
 
 def _answer(question: str) -> float | None:

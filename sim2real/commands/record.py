@@ -16,7 +16,7 @@ from sim2real.hardware.buses import bus_class, connection
 from sim2real.hardware.mounting import Wiring
 from sim2real.hardware.recorder import Run
 from sim2real.hardware.servo_bus import Stopped
-from sim2real.hardware.session import RATE_HZ, bus_settings, drive, mounted, priority
+from sim2real.hardware.session import RATE_HZ, drive, priority
 from sim2real.output import check_writable, provenance
 from sim2real.recording import SCHEMA
 from sim2real.robot import Joint, Robot, read_robot
@@ -46,21 +46,26 @@ def run(options: argparse.Namespace) -> int:
         provenance=provenance([options.robot], options.seed),
     )
     if options.inertia:
-        sent["loads"] = _loads(options.inertia, signal.joints)
-    _check_out(options)
+        text, count = options.inertia, len(joints)
+        expected = f"{count} numbers above 0 in kg m2, for {', '.join(signal.joints)}"
+        inertias = numbers("--inertia", text, float, expected, count=count, positive=True)
+        loads = zip(signal.joints, inertias, strict=True)
+        sent["loads"] = {joint: {"inertia_kgm2": inertia} for joint, inertia in loads}
+    out = options.out
+    if out is None or out.suffix != ".csv":
+        raise InputError("--out", "", str(out or "nothing"), "a file name ending in .csv")
+    for path in (out, out.with_suffix(".json")):
+        check_new(path, options)
     _plot(options.plot, signal, joints)
     for note in signal.notes:
         print(note)
     with priority(), connection(options.bus, options.port, options.baud) as link:
         try:
-            mountings = mounted(link, robot, wiring)
-            sent["bus"] = bus_settings(link, options.port, mountings)
+            run = drive(link, robot, wiring, signal, out, sent, hottest_C=options.max_temperature)
         except (Stopped, OSError) as error:
             print(f"sim2real record: {error}; nothing written", file=sys.stderr)
             return 1
-        limit = options.max_temperature
-        run = drive(link, mountings, signal, options.out, sent, hottest_C=limit)
-    return _report(options.out, run)
+    return report("record", out, run)
 
 
 def sidecar(
@@ -79,10 +84,17 @@ def check_temperature(limit_C: float) -> None:
         raise InputError("--max-temperature", "", f"{limit_C:g} C", expected)
 
 
-def _report(out: Path, run: Run) -> int:
+def check_new(path: Path, options: argparse.Namespace) -> None:
+    """Raise InputError if a file can't be written, or exists and is not to be replaced."""
+    check_writable(path)
+    if path.exists() and not options.overwrite:
+        raise InputError(path, "", "a file already", "another name, or --overwrite")
+
+
+def report(command: str, out: Path, run: Run) -> int:
     """Print the outcome in one line; return the exit status."""
     if run.stopped:
-        line = f"sim2real record: {run.stopped}; {run.written(out)}; {run.torque}"
+        line = f"sim2real {command}: {run.stopped}; {run.written(out)}; {run.torque}"
         print(line, file=sys.stderr)
         return 1
     missing = ", ".join(f"{name} {count}" for name, count in run.missing.items())
@@ -142,13 +154,6 @@ def _wiring(options: argparse.Namespace, robot: Robot) -> Wiring:
     return wiring
 
 
-def _loads(text: str, joints: Sequence[str]) -> dict[str, dict[str, float]]:
-    count = len(joints)
-    expected = f"{count} numbers above 0 in kg m2, for {', '.join(joints)}"
-    inertias = numbers("--inertia", text, float, expected, count=count, positive=True)
-    return {joint: {"inertia_kgm2": x} for joint, x in zip(joints, inertias, strict=True)}
-
-
 def _planned(signal: str) -> dict[str, Any]:
     """Loads, context and rivals of a design, from the JSON in the folder of its commands."""
     path = Path(signal).with_suffix(".json")
@@ -156,16 +161,6 @@ def _planned(signal: str) -> dict[str, Any]:
         return {"loads": {}}
     content = read_json(path, SCHEMA)
     return {"loads": {}} | {name: content[name] for name in _PLANNED if name in content}
-
-
-def _check_out(options: argparse.Namespace) -> None:
-    if options.out is None or options.out.suffix != ".csv":
-        raise InputError("--out", "", str(options.out or "nothing"), "a file name ending in .csv")
-    check_writable(options.out)
-    if not options.overwrite:
-        for path in (options.out, options.out.with_suffix(".json")):
-            if path.exists():
-                raise InputError(path, "", "a file already", "another name, or --overwrite")
 
 
 def _described(signal: Excitation, joints: Sequence[Joint]) -> str:

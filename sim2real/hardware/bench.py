@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 
 from sim2real.errors import InputError
 from sim2real.hardware.registers import model_named
 from sim2real.hardware.servo_bus import Found, ServoBus
-
-LONGEST_REACH_RAD = 2.5
 
 
 def scan(
@@ -48,55 +45,37 @@ def table(servos: Sequence[Found]) -> str:
     return "\n".join(lines)
 
 
-@dataclass(frozen=True)
-class Weight:
-    """A mass at the end of an arm: kg and m."""
+def load_of(mass_kg: float, arm_m: float, *, hangs: bool) -> dict[str, float]:
+    """Load of a mass at the end of an arm, as in a recording's JSON.
 
-    mass_kg: float
-    arm_m: float
-
-    def load(self, *, hangs: bool) -> dict[str, float]:
-        """Its load, as in a recording's JSON; with gravity, if it hangs straight down at 0."""
-        entry = {"inertia_kgm2": self.mass_kg * self.arm_m**2}
-        if hangs:
-            entry |= {"pendulum_mass_kg": self.mass_kg, "pendulum_length_m": self.arm_m}
-        return entry
+    With gravity if it hangs straight down at 0; otherwise the shaft is vertical.
+    """
+    load = {"inertia_kgm2": mass_kg * arm_m**2}
+    return load | ({"pendulum_mass_kg": mass_kg, "pendulum_length_m": arm_m} if hangs else {})
 
 
-def loads(
-    names: Sequence[str], given: Sequence[Weight | float | None], *, hangs: bool
-) -> Mapping[str, dict[str, float]]:
-    """Loads by joint: of a weight, of an inertia in kg m2, or none."""
-    return {
-        name: what.load(hangs=hangs) if isinstance(what, Weight) else {"inertia_kgm2": what}
-        for name, what in zip(names, given, strict=True)
-        if what is not None
-    }
-
-
-def robot_text(bus: str, servos: Sequence[Found], reach_rad: float) -> str:
+def robot_text(
+    bus: str, servos: Sequence[Found], reach_rad: float, *, longest_rad: float = 2.5
+) -> str:
     """A ``robot.toml`` with a joint of +-``reach_rad`` a servo; ``InputError`` without ratings."""
-    if not 0 < reach_rad <= LONGEST_REACH_RAD:
-        expected = f"more than 0 and at most {LONGEST_REACH_RAD:g} rad"
+    if not 0 < reach_rad <= longest_rad:
+        expected = f"more than 0 and at most {longest_rad:g} rad"
         raise InputError("--reach", "", f"{reach_rad:g} rad", expected)
-    parts = [_servo_text(bus, f"j{k + 1}", servo) for k, servo in enumerate(servos)]
-    parts += [f'[[links]]\nname = "link{k + 1}"\n' for k in range(len(servos) + 1)]
-    limits = f"limits_rad = [{-reach_rad:g}, {reach_rad:g}]"
-    names = [f"j{k + 1}" for k in range(len(servos))]
-    parts += [f'[[joints]]\nname = "{name}"\nservo = "{name}"\n{limits}\n' for name in names]
-    return "\n".join(['name = "bench"', *parts])
-
-
-def _servo_text(bus: str, name: str, servo: Found) -> str:
-    model, supply = model_named(bus, servo.model), servo.supply_V
-    rating = None if model is None or supply is None else model.rating(supply)
-    if model is None or rating is None:
-        found = f"no ratings of servo {servo.servo_id} ({servo.model or bus})"
-        raise InputError("--robot", "", found, "a robot.toml with its torque and speed")
-    return f"""
+    parts, joints = ['name = "bench"'], []
+    for k, servo in enumerate(servos, start=1):
+        model, supply = model_named(bus, servo.model), servo.supply_V
+        rating = None if model is None or supply is None else model.rating(supply)
+        if model is None or rating is None:
+            found = f"no ratings of servo {servo.servo_id} ({servo.model or bus})"
+            raise InputError("--robot", "", found, "a robot.toml with its torque and speed")
+        parts.append(f"""
 # {model.name} at {rating.supply_V:g} V: {model.source}
-[servos.{name}]
+[servos.j{k}]
 max_torque_Nm = {rating.stall_torque_Nm:g}
 no_load_speed_rad_s = {rating.no_load_speed_rad_s:.3f}
 position_step_rad = {2 * math.pi / model.ticks_per_turn:.6f}
-"""
+""")
+        limits = f"limits_rad = [{-reach_rad:g}, {reach_rad:g}]"
+        joints.append(f'[[joints]]\nname = "j{k}"\nservo = "j{k}"\n{limits}\n')
+    links = [f'[[links]]\nname = "link{k + 1}"\n' for k in range(len(servos) + 1)]
+    return "\n".join([*parts, *links, *joints])

@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from sim2real.hardware import frames
 from sim2real.hardware.frames import BROADCAST, Packet, Protocol
@@ -147,7 +147,7 @@ class LxBus(ServoBus):
 
     def servo(self, servo_id: int) -> BusServo:
         """The scale of a servo, which is the same for all of this family."""
-        return lx_servo(servo_id)
+        return BusServo(servo_id, SCALE, ("temperature_C",))
 
     def saved(self, servo_id: int) -> dict[str, int]:
         """Nothing, of a servo that answers: only the torque changes, which is off in the end."""
@@ -171,7 +171,9 @@ class LxBus(ServoBus):
         self.drain()
         ids = list(goals)
         asked = ids[self._turn // 2 % len(ids)]
-        command = LxCommand.TEMP_READ if self._turn % 2 else LxCommand.VIN_READ
+        command, name, unit = LxCommand.VIN_READ, "supply_V", 1000
+        if self._turn % 2:
+            command, name, unit = LxCommand.TEMP_READ, "temperature_C", 1
         self._turn += 1
         groups = [[move(k, goals[k]), Packet(k, LxCommand.POS_READ)] for k in ids]
         groups.append([Packet(asked, command)])
@@ -188,10 +190,13 @@ class LxBus(ServoBus):
                 round_trips.append(time.monotonic() - sent[-1])
             replies += received
         joints = max(len(groups) - 1, 1)  # the last group of several is the health request
-        readings = (
-            _reading(reply, replies[-1] if servo_id == asked else None)
-            for servo_id, reply in zip(ids, replies[1::2], strict=False)
-        )
+        readings = []
+        for servo_id, reply in zip(ids, replies[1::2], strict=False):
+            told: dict[str, Any] = {}
+            if servo_id == asked and (health := replies[-1]) is not None:
+                told[name] = number(health) / unit
+            ticks = None if reply is None else number(reply)
+            readings.append(Reading(ticks, **told))
         return Cycle(
             sent_s=sum(sent[:joints]) / joints,
             readings=tuple(readings),
@@ -225,19 +230,3 @@ class LxBus(ServoBus):
     def _required(self, servo_id: int, command: LxCommand) -> int:
         """The number that a servo must answer."""
         return number(self._insist(servo_id, partial(self.ask, servo_id, command, PATIENCE_S)))
-
-
-def lx_servo(servo_id: int) -> BusServo:
-    """An LX servo."""
-    return BusServo(servo_id, SCALE, ("temperature_C",))
-
-
-def _reading(position: Packet | None, health: Packet | None) -> Reading:
-    """A reading from the replies to POS_READ and to VIN_READ or TEMP_READ."""
-    supply = temperature = math.nan
-    if health is not None and health.code == LxCommand.VIN_READ:
-        supply = number(health) / 1000
-    elif health is not None:
-        temperature = float(number(health))
-    ticks = None if position is None else number(position)
-    return Reading(ticks, supply_V=supply, temperature_C=temperature)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sim2real.errors import InputError
-from sim2real.hardware.servo_bus import BusServo, Scale, Stopped
+from sim2real.hardware.servo_bus import BusServo, Stopped
 from sim2real.robot import Joint, Robot
 
 
@@ -29,26 +29,21 @@ class Mounting:
         """The servo's identity on the bus."""
         return self.servo.servo_id
 
-    @property
-    def scale(self) -> Scale:
-        """The servo's ticks."""
-        return self.servo.scale
-
     def angle(self, ticks: int) -> float:
         """Angle of the joint in rad at ``ticks``."""
-        return self.sign * self.scale.angle(ticks - self.trim_ticks)
+        return self.sign * self.servo.scale.angle(ticks - self.trim_ticks)
 
     def ticks(self, angle: float) -> int:
         """The nearest tick to ``angle`` within the joint limits."""
         low, high = self.joint.limits_rad
-        tick = self.scale.tick_rad
+        tick = self.servo.scale.tick_rad
         steps = round(min(max(angle, low), high) / tick)
         steps = min(max(steps, math.ceil(low / tick)), math.floor(high / tick))
-        return self.scale.centre_ticks + self.trim_ticks + self.sign * steps
+        return self.servo.scale.centre_ticks + self.trim_ticks + self.sign * steps
 
     def within(self, ticks: int) -> int:
         """The nearest set-point that the servo accepts."""
-        return min(max(ticks, self.scale.lowest_ticks), self.scale.largest_ticks)
+        return min(max(ticks, self.servo.scale.lowest_ticks), self.servo.scale.largest_ticks)
 
     def check_temperature(self, temperature_C: float, hottest_C: float) -> None:
         """Raise ``Stopped`` if the servo is too hot; NaN is not."""

@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,7 +17,7 @@ from typing import Any
 from tqdm import tqdm
 
 from sim2real.errors import InputError
-from sim2real.hardware.buses import Changed, Connection, release
+from sim2real.hardware.buses import Changed, Connection
 from sim2real.hardware.mounting import Mounting, Wiring, mount
 from sim2real.hardware.recorder import BUSY_SHARE, Run, columns, record, row_file
 from sim2real.hardware.servo_bus import ServoBus, Stopped, reason
@@ -69,13 +69,12 @@ APPROACH_RAD_S = 0.5
 LARGEST_JUMP_RAD = 0.1
 
 
-def mounted(connection: Connection, robot: Robot, wiring: Wiring) -> tuple[Mounting, ...]:
+def mounted(bus: ServoBus, robot: Robot, wiring: Wiring) -> tuple[Mounting, ...]:
     """The servos in their joints, with the scales that they report.
 
     ``Stopped`` if a servo does not answer, ``InputError`` if its model is unknown, it does not
     control its position or does not fit its joint, or if the rate of the bus is too slow.
     """
-    bus = connection.bus
     mountings = mount(robot, [bus.servo(servo_id) for servo_id in wiring.ids], wiring)
     takes, longest = bus.cycle_s(len(mountings)), BUSY_SHARE / RATE_HZ
     if takes > longest:
@@ -84,25 +83,10 @@ def mounted(connection: Connection, robot: Robot, wiring: Wiring) -> tuple[Mount
     return mountings
 
 
-def bus_settings(
-    connection: Connection, port: str, mountings: Sequence[Mounting]
-) -> dict[str, Any]:
-    """Port, wiring and settings of the servos, for a recording's JSON."""
-    bus = connection.bus
-    return {
-        "name": bus.name,
-        "port": port,
-        "baud": bus.baud,
-        "ids": [mounting.servo_id for mounting in mountings],
-        "trim_ticks": [mounting.trim_ticks for mounting in mountings],
-        "sign": [mounting.sign for mounting in mountings],
-        "servos": [bus.settings(mounting.servo_id) for mounting in mountings],
-    }
-
-
 def drive(
     connection: Connection,
-    mountings: Sequence[Mounting],
+    robot: Robot,
+    wiring: Wiring,
     signal: Excitation,
     out: Path,
     sidecar: dict[str, Any],
@@ -112,17 +96,27 @@ def drive(
     """Move to the start, record, and release the servos in any case.
 
     What is changed in the servos is noted in the port's journal before, so that after a kill the
-    next command on the port restores it. The outcome is added to ``sidecar``, which is written
-    beside ``out``.
+    next command on the port restores it. Port, wiring, settings of the servos and the outcome are
+    added to ``sidecar``, which is written beside ``out``. ``InputError`` and ``Stopped`` before
+    anything is changed, as of ``mounted``.
     """
-    bus, run = connection.bus, Run(mountings)
-    changed: list[Changed] = []
+    bus, mountings = connection.bus, mounted(connection.bus, robot, wiring)
+    sidecar["bus"] = {
+        "name": bus.name,
+        "port": connection.port,
+        "baud": bus.baud,
+        "ids": [mounting.servo_id for mounting in mountings],
+        "trim_ticks": [mounting.trim_ticks for mounting in mountings],
+        "sign": [mounting.sign for mounting in mountings],
+        "servos": [bus.settings(mounting.servo_id) for mounting in mountings],
+    }
     delay = round(bus.sample_delay_s(len(mountings)), 6)
     sidecar["context"] = {**sidecar.get("context", {}), "sample_delay_s": delay}
+    run, changed = Run(mountings), list[Changed]()
     with interruption() as interrupted:
         limits: dict[str, Any] = {"hottest_C": hottest_C, "interrupted": interrupted}
         try:
-            changed = note_changes(connection, mountings)
+            changed = connection.note(wiring.ids)
             approach(bus, mountings, [float(angle) for angle in signal.command[0]], **limits)
             sidecar["started"] = datetime.now(UTC).isoformat(timespec="milliseconds")
             bar = tqdm(total=signal.t.size, desc="record", unit="row", disable=None)
@@ -133,7 +127,8 @@ def drive(
         except (Stopped, OSError) as error:
             run.stopped = reason(error)
         finally:
-            run.unreleased = let_go(connection, mountings, changed)
+            left = connection.release(changed, wiring.ids)
+            run.unreleased = [mounting for mounting in mountings if mounting.servo_id in left]
     return run
 
 
@@ -149,24 +144,28 @@ def approach(
 ) -> None:
     """Move every joint slowly to its first set-point in rad, and wait until it is at rest.
 
-    ``Stopped`` if a servo does not answer, is above ``hottest_C`` or outside of its range, or the
-    user has asked to stop; ``OSError`` if the port is lost.
+    ``Stopped`` if a servo does not answer, is above ``hottest_C`` or outside of its range, to whose
+    end it would jump, or the user has asked to stop; ``OSError`` if the port is lost.
     """
     start, ways = {}, {}
     for mounting, angle in zip(mountings, target, strict=True):
         reading = bus.reading(mounting.servo_id)
         mounting.check_temperature(reading.temperature_C, hottest_C)
         assert reading.position_ticks is not None
-        _check_range(mounting, reading.position_ticks)
-        start[mounting.servo_id] = reading.position_ticks
-        ways[mounting.servo_id] = mounting.ticks(angle) - reading.position_ticks
+        ticks, scale = reading.position_ticks, mounting.servo.scale
+        if abs(mounting.within(ticks) - ticks) * scale.tick_rad > LARGEST_JUMP_RAD:
+            ends = f"{scale.lowest_ticks} to {scale.largest_ticks} ticks"
+            found = f"{mounting.joint.name}'s servo is at {ticks} ticks"
+            raise Stopped(f"{found}, outside its range of {ends}: turn it by hand")
+        start[mounting.servo_id] = ticks
+        ways[mounting.servo_id] = mounting.ticks(angle) - ticks
 
     def goals(share: float) -> dict[int, int]:
         ids = {m.servo_id: m for m in mountings}
         return {k: m.within(start[k] + round(share * ways[k])) for k, m in ids.items()}
 
     bus.begin(goals(0.0))
-    fastest = APPROACH_RAD_S / min(mounting.scale.tick_rad for mounting in mountings)
+    fastest = APPROACH_RAD_S / min(mounting.servo.scale.tick_rad for mounting in mountings)
     longest = max(abs(way) for way in ways.values()) / fastest
     begin = time.monotonic()
     while (now := time.monotonic() - begin) < longest + settle_s:
@@ -174,30 +173,3 @@ def approach(
             raise Stopped("interrupted")
         bus.cycle(goals(min(now / longest, 1.0) if longest else 1.0), time.monotonic() + period_s)
         time.sleep(max(begin + now + period_s - time.monotonic(), 0.0))
-
-
-def note_changes(connection: Connection, mountings: Sequence[Mounting]) -> list[Changed]:
-    """Note in the port's journal what is about to be changed in the servos."""
-    bus, ids = connection.bus, [mounting.servo_id for mounting in mountings]
-    return connection.journal.note([Changed(bus.name, bus.baud, k, bus.saved(k)) for k in ids])
-
-
-def let_go(
-    connection: Connection, mountings: Sequence[Mounting], changed: Sequence[Changed]
-) -> list[Mounting]:
-    """Release all servos; those whose torque may still be on, which stay in the journal."""
-    values: dict[int, Mapping[str, int]] = {mounting.servo_id: {} for mounting in mountings}
-    values |= {entry.servo_id: entry.values for entry in changed}
-    left = release(connection.bus, values)
-    connection.journal.forget([entry for entry in changed if entry.servo_id not in left])
-    return [mounting for mounting in mountings if mounting.servo_id in left]
-
-
-def _check_range(mounting: Mounting, ticks: int) -> None:
-    """Check that a servo can be held where it is: outside its range it would jump to the end."""
-    if abs(mounting.within(ticks) - ticks) * mounting.scale.tick_rad > LARGEST_JUMP_RAD:
-        ends = f"{mounting.scale.lowest_ticks} to {mounting.scale.largest_ticks} ticks"
-        raise Stopped(
-            f"{mounting.joint.name}'s servo is at {ticks} ticks, outside its range of {ends}: turn "
-            "it by hand"
-        )

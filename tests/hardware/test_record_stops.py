@@ -11,7 +11,7 @@ from virtual_bench import LIMITS, limit, limits, record, refused, robot_file, se
 from sim2real.cli import main
 from sim2real.hardware import lx, recorder, servo_bus
 from sim2real.hardware.frames import LX, FrameDecoder, Packet
-from sim2real.hardware.lx import LxBus, LxCommand, lx_servo
+from sim2real.hardware.lx import LxBus, LxCommand
 from sim2real.hardware.mounting import Wiring, mount
 from sim2real.hardware.recorder import Run
 from sim2real.recording import read_recording
@@ -188,7 +188,7 @@ def clock(monkeypatch):
 @pytest.fixture
 def play(tmp_path, clock):
     (tmp_path / "robot.toml").write_text(ROBOT)
-    mountings = mount(read_robot(tmp_path / "robot.toml"), [lx_servo(1)], Wiring([1]))
+    mountings = mount(read_robot(tmp_path / "robot.toml"), [LxBus(None).servo(1)], Wiring([1]))
 
     def run(takes, command):
         rows, bus, run = [], LxBus(Line(clock, takes)), Run(mountings)
@@ -236,7 +236,7 @@ def test_a_silent_servo_leaves_the_others_their_time(tmp_path, clock):
                 clock.now = deadline
             return b""
 
-    three = [lx_servo(k) for k in (1, 2, 3)]
+    three = [LxBus(None).servo(k) for k in (1, 2, 3)]
     run = Run(mount(read_robot(robot_file(tmp_path, 3)), three, Wiring([1, 2, 3])))
     bus = LxBus(Silent(clock, None))
     recorder.record(run, bus, np.zeros((50, 3)), lambda _: None, rate_hz=HZ, hottest_C=65)
