@@ -201,18 +201,18 @@ class VirtualBus:
             yield data
         for packet in self._decoder.feed(self._spoil(data)):
             self._wait(len(packet.parameters) + self._protocol.overhead)
-            if self._lost():
+            if self._rng.random() < self._loss:
                 continue
-            replies = [(servo, servo.handle(packet, self._free)) for servo in self._ordered(packet)]
+            servos, ids = self.servos, packet.parameters
+            if packet.code == Instruction.SYNC_READ:  # they reply in the order of their identities
+                servos = tuple(sorted(servos, key=lambda one: ids.rfind(bytes((one.servo_id,)))))
+            replies = [(servo, servo.handle(packet, self._free)) for servo in servos]
             for servo, reply in replies:
-                if reply is not None and not self._lost():
+                if reply is not None and self._rng.random() >= self._loss:
                     answer = self._protocol.encode(reply)
                     self._wait(len(answer), servo.delay_s)
                     yield self._spoil(answer)
         self._heard = time.monotonic()
-
-    def _lost(self) -> bool:
-        return bool(self._rng.random() < self._loss)
 
     def _spoil(self, data: bytes) -> bytes:
         """The bytes after the noise of the line."""
@@ -225,13 +225,6 @@ class VirtualBus:
             hit = self._rng.random() < self._noise
             spoilt.append(int(self._rng.integers(256)) if hit else byte)
         return bytes(spoilt)
-
-    def _ordered(self, packet: Packet) -> list[VirtualServo]:
-        """Servos in the order in which they reply: of a sync read, that of the identities in it."""
-        if packet.code != Instruction.SYNC_READ:
-            return list(self.servos)
-        ids = packet.parameters
-        return sorted(self.servos, key=lambda servo: ids.rfind(bytes((servo.servo_id,))))
 
     def _wait(self, count: int, delay_s: float = 0.0) -> None:
         if not self._fast:
