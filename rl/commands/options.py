@@ -128,8 +128,6 @@ _DEMO = """
 --data FOLDER = datasets/servo_steps: folder of recordings of the servos
 --pool FOLDER = datasets/pool: folder of recordings of the pool
 --out FOLDER = reports/demo: folder for the report
---train: train the ablation's agents in this run, minutes on two cores (default: evaluate those
-    shipped with the data)
 """
 _FISH = "--robot fish.toml --model model.json"
 _JOBS = EXECUTOR.format("all runs in one batch")
