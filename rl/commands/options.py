@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from rl import verbs
-from sim2real.commands.command import EXECUTOR, Command, Verb
+from sim2real.commands.command import EXECUTOR, Command
 
 _TASKS = "point|near|mixed|chain|turn|zones|pentagram"
 _WATER = """
@@ -131,42 +129,41 @@ _DEMO = """
 """
 _FISH = "--robot fish.toml --model model.json"
 _JOBS = EXECUTOR.format("all runs in one batch")
-
-
-def _command(name: str, example: str, *options: str | Verb, **more: Any) -> Command:  # noqa: ANN401
-    return Command(f"rl.commands.{name}", options, example, **more)
-
-
 COMMANDS = {
-    "demo": _command("demo", "--out reports/demo", _DEMO),
-    "train": _command(
-        "train", f"--quick {_FISH} --out runs/quick", _WATER, _TRAIN, _PLAN, _JOBS, resumes=True
+    "demo": Command("rl.commands.demo", [_DEMO], "--out reports/demo"),
+    "train": Command(
+        "rl.commands.train",
+        [_WATER, _TRAIN, _PLAN, _JOBS],
+        f"--quick {_FISH} --out runs/quick",
+        resumes=True,
     ),
-    "evaluate": _command("evaluate", f"policy.zip pnl --task turn {_FISH}", _WATER, _EVALUATE),
-    "reproduce": _command("reproduce", "calibration turn --out reproduced", _REPRODUCE),
-    "ablate": _command(
-        "ablate",
+    "evaluate": Command(
+        "rl.commands.evaluate", [_WATER, _EVALUATE], f"policy.zip pnl --task turn {_FISH}"
+    ),
+    "reproduce": Command(
+        "rl.commands.reproduce", [_REPRODUCE], "calibration turn --out reproduced"
+    ),
+    "ablate": Command(
+        "rl.commands.ablate",
+        [_WATER, _ABLATE, _PLAN, _JOBS],
         f"{_FISH} --ranges ranges.json --reality reality.py --out runs/ablation",
-        _WATER,
-        _ABLATE,
-        _PLAN,
-        _JOBS,
         resumes=True,
         # "all" is what earlier versions called the arm "full"
         types={"arms": lambda arm: arm.replace("all", "full")},
     ),
-    "forecast": _command(
-        "forecast",
+    "forecast": Command(
+        "rl.commands.forecast",
+        [verbs.forecast, _FORECAST],
         f"policy.zip {_FISH} --ranges ranges.json --limit 'time_s<=6@0.95' --out forecast.json",
-        verbs.forecast,
-        _FORECAST,
         resumes=True,
         leave_out=("kept",),
     ),
-    "export": _command("export", "policy.zip --out policy.npz --format npz c", _EXPORT),
-    "swim": _command(
-        "swim",
+    "export": Command(
+        "rl.commands.export", [_EXPORT], "policy.zip --out policy.npz --format npz c"
+    ),
+    "swim": Command(
+        "rl.commands.swim",
+        [_SWIM],
         "policy.npz --target 1.2,-0.4 --port udp://192.168.4.1:4210 --out swim.csv",
-        _SWIM,
     ),
 }

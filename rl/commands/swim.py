@@ -23,17 +23,16 @@ from sim2real.output import check_writable, provenance
 from sim2real.recording import Recording, write_recording
 from sim2real.robot import Robot, read_robot
 
-LONGEST_S = 3600.0
 FEWEST_ROWS = 2
-_PLACE = "X,Y in m, as 1.2,-0.4"
 _BAR = "{desc}: {percentage:3.0f}%|{bar}| {n:.1f} of {total:.0f} s"
 
 
 def run(options: argparse.Namespace) -> int:
     """Swim and write a pool recording; 1 if the swim was stopped early, else 0."""
-    target = np.array(numbers("--target", options.target, float, _PLACE, count=2))
-    if not 0 < options.seconds <= LONGEST_S:
-        raise InputError("--seconds", "", f"{options.seconds:g}", f"more than 0, to {LONGEST_S:g}")
+    place = "X,Y in m, as 1.2,-0.4"
+    target = np.array(numbers("--target", options.target, float, place, count=2))
+    if not 0 < options.seconds <= 3600:
+        raise InputError("--seconds", "", f"{options.seconds:g}", "more than 0, to 3600")
     if options.out is not None:
         if options.out.suffix != ".csv":
             raise InputError("--out", "", str(options.out), "a file name ending in .csv")
@@ -63,11 +62,6 @@ def run(options: argparse.Namespace) -> int:
     if options.out is not None and len(track.t) >= FEWEST_ROWS:
         write_recording(_recording(options, policy, target, track), options.out)
         written = f"{len(track.t)} rows in {options.out}"
-    return _report(track, written)
-
-
-def _report(track: Track, written: str) -> int:
-    """Print the outcome in one line; return the exit status."""
     outcome = f"closest {track.closest_m:.3f} m" if np.isfinite(track.closest_m) else "not started"
     if track.stopped:
         line = f"sim2real swim: {track.stopped}; {outcome}; sent to rest; {written}"
