@@ -90,7 +90,12 @@ class MarkerTracker:
     def _searched(self, frame: Picture) -> Sighting | None:
         windows = []
         if self._last is not None and self._lost < 3 * EVERYWHERE:
-            windows.append(self._window(frame, self._last))
+            reach = NEARBY_M * (1 + self._lost / 10)
+            around = self._last[:2] + reach * np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
+            pixels = self._finder.plane.pixels(around)
+            low = np.clip(np.floor(pixels.min(axis=0)), 0, None).astype(int)
+            high = np.clip(np.ceil(pixels.max(axis=0)) + 1, 1, frame.shape[::-1]).astype(int)
+            windows.append((*low.tolist(), *high.tolist()))
         if self._lost % EVERYWHERE == (0 if self._last is None else EVERYWHERE - 1):
             windows.append((0, 0, frame.shape[1], frame.shape[0]))
         for window in windows:
@@ -101,14 +106,6 @@ class MarkerTracker:
             if best is not None and best.likeness >= LIKENESS:
                 return best
         return None
-
-    def _window(self, frame: Picture, pose: Array) -> tuple[int, int, int, int]:
-        reach = NEARBY_M * (1 + self._lost / 10)
-        corners = pose[:2] + reach * np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
-        pixels = self._finder.plane.pixels(corners, self._finder.height_m)
-        low = np.clip(np.floor(pixels.min(axis=0)), 0, None).astype(int)
-        high = np.clip(np.ceil(pixels.max(axis=0)) + 1, 1, frame.shape[::-1]).astype(int)
-        return int(low[0]), int(low[1]), int(high[0]), int(high[1])
 
 
 def find_blob(picture: Picture, plane: Plane, blob: Blob, *, fewest_px: int = 6) -> Array | None:
@@ -130,7 +127,7 @@ def find_blob(picture: Picture, plane: Plane, blob: Blob, *, fewest_px: int = 6)
     if max(areas, default=0) < fewest_px:
         return None
     rows, columns = np.nonzero(label == 1 + int(np.argmax(areas)))
-    spots = plane.world(np.column_stack([columns, rows]), blob.height_m)
+    spots = plane.raised(blob.height_m).world(np.column_stack([columns, rows]))
     middle = spots.mean(axis=0)
     _, axes = np.linalg.eigh(np.cov((spots - middle).T))
     return np.array([*middle, np.arctan2(axes[1, -1], axes[0, -1])])
