@@ -28,21 +28,6 @@ class Law:
     inertia_kgm2: float = 0.002
 
 
-@dataclass(frozen=True)
-class _Motion:
-    """A motion of the set-point at constant speed that takes effect at ``start``."""
-
-    start: float
-    origin: float
-    target: float
-    duration: float
-
-    def at(self, time: float) -> float:
-        if time >= self.start + self.duration:
-            return self.target
-        return self.origin + (self.target - self.origin) * (time - self.start) / self.duration
-
-
 class Shaft:
     """A servo's shaft, at rest at ``angle`` in rad at the time ``now``.
 
@@ -51,65 +36,62 @@ class Shaft:
     """
 
     def __init__(self, law: Law, now: float, angle: float = 0.0) -> None:
-        self.law = law
-        self.powered = False
-        self.speed = 0.0
-        self._time, self._angle = now, angle
-        self._motion = _Motion(now, angle, angle, 0.0)
-        self._coming: deque[_Motion] = deque()
+        self.law, self.powered, self.speed = law, False, 0.0
+        self._time, self._angle, self._target = now, angle, angle
+        self._coming: deque[tuple[float, float]] = deque()  # set-points, each with its time
 
-    def command(self, now: float, angle: float, duration: float = 0.0) -> None:
-        """Set a set-point, reached at constant speed in ``duration``, after the latency."""
-        start = now + self.law.latency_s
-        origin = (self._coming[-1] if self._coming else self._motion).at(start)
-        self._coming.append(_Motion(start, origin, angle, duration))
+    def command(self, now: float, angle: float) -> None:
+        """Set a set-point, which takes effect after the latency."""
+        self._coming.append((now + self.law.latency_s, angle))
+
+    def power(self, on: bool, now: float) -> None:
+        """Switch the torque on or off, where it is."""
+        self.hold(now)
+        self.powered = on
 
     def hold(self, now: float) -> None:
         """Make the present angle the set-point, and discard pending set-points."""
-        angle = self.angle(now)
+        self._target = self.angle(now)
         self._coming.clear()
-        self._motion = _Motion(now, angle, angle, 0.0)
 
     def angle(self, now: float) -> float:
         """Angle in rad at ``now``."""
-        while self._coming and self._coming[0].start <= now:
-            self._advance(self._coming[0].start)
-            self._motion = self._coming.popleft()
+        while self._coming and self._coming[0][0] <= now:
+            start, target = self._coming.popleft()
+            self._advance(start)
+            self._target = target
         self._advance(now)
         return self._angle
 
     @property
     def drive_Nm(self) -> float:
         """Torque of the motor, without damping, at the time of the last call; 0 when off."""
-        error = self._motion.at(self._time) - self._angle
-        return self.law.kp_Nm_per_rad * error if self.powered else 0.0
+        return self.law.kp_Nm_per_rad * (self._target - self._angle) if self.powered else 0.0
 
     def _advance(self, until: float) -> None:
         """Substeps of the midpoint rule with trapezoidal damping, as in ``servo.law.substep``."""
-        if until <= self._time:
+        q, v, law, target = self._angle, self.speed, self.law, self._target
+        kp, lag, self._time = law.kp_Nm_per_rad, until - self._time, max(until, self._time)
+        if not self.powered:
+            kp, target = 0.0, q
+        if lag <= 0 or (abs(v) < 1e-12 and abs(target - q) < 1e-12):
             return
-        count = math.ceil((until - self._time) / LONGEST_STEP_S)
-        h = (until - self._time) / count
-        law, motion, begin = self.law, self._motion, self._time
-        self._time = until
-        target = motion.target if self.powered else self._angle
-        arrived = begin >= motion.start + motion.duration or not self.powered
-        if arrived and abs(self.speed) < 1e-12 and abs(target - self._angle) < 1e-12:
-            return
-        q, v = self._angle, self.speed
-        kp = law.kp_Nm_per_rad if self.powered else 0.0
+        count = math.ceil(lag / LONGEST_STEP_S)
+        h = lag / count
         damping = 0.5 * h * law.kd_Nms_per_rad / law.inertia_kgm2
         push = h * kp / law.inertia_kgm2
-        for k in range(count):
+        for _ in range(count):
             q += 0.5 * h * v
-            error = motion.at(begin + (k + 0.5) * h) - q
-            v = ((1 - damping) * v + push * error) / (1 + damping)
+            v = ((1 - damping) * v + push * (target - q)) / (1 + damping)
             q += 0.5 * h * v
         self._angle, self.speed = q, v
 
 
-class VirtualServo(ABC):
+class VirtualServo(Shaft, ABC):
     """A virtual servo, at rest at its centre with its torque off at the time ``now``."""
+
+    delay_s = 0.0
+    """Time between the end of a request and the reply."""
 
     def __init__(
         self,
@@ -121,32 +103,18 @@ class VirtualServo(ABC):
         temperature_C: float = 30.0,
         heating_C_per_s: float = 0.0,
     ) -> None:
+        super().__init__(law, now)
         self.servo_id, self.connected = servo_id, True
-        self._shaft, self._born = Shaft(law, now), now
-        self._supply_V = supply_V
+        self._born, self._supply_V = now, supply_V
         self._temperature_C, self._heating = temperature_C, heating_C_per_s
-
-    @property
-    def powered(self) -> bool:
-        """Whether its torque is on."""
-        return self._shaft.powered
-
-    @property
-    def delay_s(self) -> float:
-        """Time between the end of a request and the reply."""
-        return 0.0
 
     def advance(self, now: float) -> None:
         """Advance the simulation to ``now``."""
-        self._shaft.angle(now)
+        self.angle(now)
 
     @abstractmethod
     def handle(self, packet: Packet, now: float) -> Packet | None:
         """Process a packet; the reply, if there is one."""
-
-    def _power(self, on: bool, now: float) -> None:
-        self._shaft.hold(now)
-        self._shaft.powered = on
 
     def _degrees(self, now: float) -> int:
         """Temperature in C, as one byte."""

@@ -26,11 +26,11 @@ _FIXED = {
 
 
 class VirtualLx(VirtualServo):
-    """One LX servo, with the commands of ``LxCommand``."""
+    """One LX servo, with the commands of ``LxCommand``; the time of a move is ignored."""
 
     def ticks(self, now: float) -> int:
         """Reported position in ticks of 0.24 degrees."""
-        return SCALE.centre_ticks + round(self._shaft.angle(now) / SCALE.tick_rad)
+        return SCALE.centre_ticks + round(self.angle(now) / SCALE.tick_rad)
 
     def handle(self, packet: Packet, now: float) -> Packet | None:
         """Process a packet; the reply, if it is a request to this servo."""
@@ -58,26 +58,26 @@ class VirtualLx(VirtualServo):
 
     def _obey(self, command: int, parameters: bytes, now: float) -> None:
         if command == LxCommand.MOVE_TIME_WRITE and len(parameters) == 4:
-            ticks, milliseconds = (int.from_bytes(parameters[k : k + 2], "little") for k in (0, 2))
-            self._shaft.angle(now)
-            angle = SCALE.angle(min(ticks, SCALE.largest_ticks))
-            self._shaft.command(now, angle, milliseconds / 1000)
+            ticks = int.from_bytes(parameters[:2], "little")
+            self.command(now, SCALE.angle(min(ticks, SCALE.largest_ticks)))
         elif command == LxCommand.MOVE_STOP:
-            self._shaft.hold(now)
+            self.hold(now)
         elif command == LxCommand.LOAD_WRITE and len(parameters) == 1:
-            self._power(parameters[0] != 0, now)
+            self.power(parameters[0] != 0, now)
 
 
 class RegisterServo(VirtualServo):
     """One servo as it leaves the factory, except for its identity, and a rate of 1 Mbaud.
 
-    A set-point is approached with ``profile_velocity`` if that is not 0; ``profile_acceleration``
-    is stored only. The current or load is the torque as a share of the stall torque.
+    Motion profiles are stored only. The current or load is the torque as a share of the stall
+    torque.
     """
 
     word_bytes: ClassVar[int]  # bytes of an address, and of a number of bytes, in an instruction
     # value of the register ``status_level`` with which writes are answered
     answers_writes: ClassVar[int]
+    refuses: ClassVar[bool]  # whether it answers what cannot be read or is no instruction
+    pinged: ClassVar[tuple[str, ...]]  # registers in the answer to a ping
     factory: ClassVar[Mapping[str, int]]  # values of registers
 
     def __init__(
@@ -97,6 +97,7 @@ class RegisterServo(VirtualServo):
         }
         for name, value in {**self.factory, **start}.items():
             self.put(name, value)
+        self.delay_s = self.get("return_delay") * DELAY_UNIT_S
         self._refresh(now)
 
     @abstractmethod
@@ -105,12 +106,7 @@ class RegisterServo(VirtualServo):
 
     def _refusal(self, reason: Refusal) -> Packet | None:
         """The answer to what cannot be read or is no instruction, if there is one."""
-        return None
-
-    @property
-    def delay_s(self) -> float:
-        """Time between the end of a request and the reply."""
-        return self.get("return_delay") * DELAY_UNIT_S
+        return self._status(reason) if self.refuses else None
 
     def get(self, name: str) -> int:
         """Value of a register."""
@@ -127,7 +123,7 @@ class RegisterServo(VirtualServo):
         super().advance(now)
         limit = self._watchdog() * WATCHDOG_UNIT_S if self.powered else 0
         if limit > 0 and now - self._heard > limit:
-            self._shaft.hold(now)
+            self.hold(now)
             self.put("bus_watchdog", -1)
 
     def handle(self, packet: Packet, now: float) -> Packet | None:
@@ -145,7 +141,8 @@ class RegisterServo(VirtualServo):
         )
         rest = packet.parameters[2 * size :]
         if code == Instruction.PING:
-            return self._status(None, self._identification())
+            told = [self._layout[name].encode(self.get(name)) for name in self.pinged]
+            return self._status(None, b"".join(told))
         if code == Instruction.SYNC_READ and everyone:
             return self._read(address, count, now) if self.servo_id in rest else None
         if code == Instruction.SYNC_WRITE and everyone:
@@ -180,12 +177,14 @@ class RegisterServo(VirtualServo):
             self.memory[:] = before
             return "range"
         for name in names:
-            self._act(name, now)
+            value = self.get(name)
+            if name == TORQUE:
+                self.power(value == 1, now)
+            elif name == "goal_position" and self.powered:
+                self.command(now, self._scale.angle(value))
+            elif name == "servo_id":
+                self.servo_id = value
         return None
-
-    def _identification(self) -> bytes:
-        """Data of the answer to a ping."""
-        return b""
 
     def _read(self, address: int, count: int, now: float) -> Packet | None:
         if not 0 < count <= len(self.memory) - address:
@@ -207,24 +206,13 @@ class RegisterServo(VirtualServo):
             return self._watchdog() >= 0 and (low <= value <= high or low == high)
         return True
 
-    def _act(self, name: str, now: float) -> None:
-        if name == TORQUE:
-            self._power(self.get(TORQUE) == 1, now)
-        elif name == "goal_position" and self.powered:
-            goal = self._scale.angle(self.get("goal_position"))
-            way = abs(goal - self._shaft.angle(now))
-            speed = self.get("profile_velocity") * self.model.velocity_unit_rad_s
-            self._shaft.command(now, goal, way / speed if speed else 0.0)
-        elif name == "servo_id":
-            self.servo_id = self.get("servo_id")
-
     def _refresh(self, now: float) -> None:
         """Write the present values into the memory."""
-        angle = self._shaft.angle(now)
-        share = max(min(self._shaft.drive_Nm / self._stall_Nm, 1.0), -1.0)
+        angle = self.angle(now)
+        share = max(min(self.drive_Nm / self._stall_Nm, 1.0), -1.0)
         present = {
             "present_position": self._scale.centre_ticks + round(angle / self._scale.tick_rad),
-            "present_velocity": round(self._shaft.speed / self.model.velocity_unit_rad_s),
+            "present_velocity": round(self.speed / self.model.velocity_unit_rad_s),
             "present_load": round(1000 * share),
             "present_voltage": round(10 * self._supply_V),
             "present_temperature": self._degrees(now),
@@ -247,6 +235,7 @@ class VirtualDynamixel(RegisterServo):
 
     word_bytes = 2
     answers_writes = 2
+    refuses, pinged = True, ("model", "firmware")
     factory: ClassVar[Mapping[str, int]] = {
         "firmware": 46,
         "baud": 3,
@@ -259,16 +248,6 @@ class VirtualDynamixel(RegisterServo):
         "position_p": 400,
     }
 
-    def _identification(self) -> bytes:
-        return bytes(self.memory[0:2] + self.memory[6:7])  # model and firmware
-
-    def _read(self, address: int, count: int, now: float) -> Packet | None:
-        silent = self.get("status_level") == 0
-        return None if silent else super()._read(address, count, now)
-
-    def _refusal(self, reason: Refusal) -> Packet:
-        return self._status(reason)
-
     def _status(self, refused: Refusal | None, data: bytes = b"") -> Packet:
         errors = {None: 0, "instruction": 2, "range": 4, "length": 5, "access": 7}
         error = errors[refused] | (ALERT if self.get("errors") else 0)
@@ -280,6 +259,7 @@ class VirtualFeetech(RegisterServo):
 
     word_bytes = 1
     answers_writes = 1
+    refuses, pinged = False, ()
     factory: ClassVar[Mapping[str, int]] = {
         "status_level": 1,
         "max_temperature": 70,
