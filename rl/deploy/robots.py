@@ -31,12 +31,12 @@ from rl.observer import CONTROL_S
 from sim2real.arrays import Array
 from sim2real.hardware.datagram import opened
 from sim2real.hardware.mounting import Mounting
-from sim2real.hardware.servo_bus import ServoBus, Stopped, reason
+from sim2real.hardware.servo_bus import Stopped, reason
 from sim2real.hardware.session import approach
 
 if TYPE_CHECKING:
     from sim.twin.twin import Twin
-    from sim2real.hardware.buses import Connection
+    from sim2real.hardware.buses import Bus, Connection
 
 
 class Received:
@@ -203,7 +203,7 @@ class BusRobot(Received):
 
     def __init__(
         self,
-        bus: ServoBus,
+        bus: Bus,
         mountings: Sequence[Mounting],
         rest: Array,
         poses: Poses,

@@ -6,12 +6,13 @@ import math
 from collections.abc import Iterable, Sequence
 
 from sim2real.errors import InputError
+from sim2real.hardware.buses import Bus
 from sim2real.hardware.registers import model_named
-from sim2real.hardware.servo_bus import Found, ServoBus
+from sim2real.hardware.servo_bus import Found
 
 
 def scan(
-    bus: ServoBus, ids: Iterable[int], patience_s: float, *, attempts: int = 3
+    bus: Bus, ids: Iterable[int], patience_s: float, *, attempts: int = 3
 ) -> tuple[list[Found], list[int]]:
     """Servos that answer, and identities with corrupted answers; nothing is written to them."""
     servos, garbled = [], []

@@ -16,11 +16,11 @@ from typing import BinaryIO
 from sim2real.errors import InputError, check_choice
 from sim2real.hardware.lx import LxBus
 from sim2real.hardware.register_bus import DynamixelBus, FeetechBus
-from sim2real.hardware.servo_bus import ServoBus
 from sim2real.hardware.transport import open_transport
 from sim2real.output import write_json
 
-BUSES: Mapping[str, type[ServoBus]] = {bus.name: bus for bus in (LxBus, DynamixelBus, FeetechBus)}
+Bus = LxBus | DynamixelBus | FeetechBus
+BUSES: Mapping[str, type[Bus]] = {bus.name: bus for bus in (LxBus, DynamixelBus, FeetechBus)}
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Journal:
 class Connection:
     """An open bus, with its port and the journal of that."""
 
-    bus: ServoBus
+    bus: Bus
     port: str
     journal: Journal
 
@@ -127,7 +127,7 @@ class Connection:
         return left
 
 
-def bus_class(name: str) -> type[ServoBus]:
+def bus_class(name: str) -> type[Bus]:
     """The class of a bus; ``InputError`` if there is none with this name."""
     check_choice("--bus", "", name, BUSES)
     return BUSES[name]

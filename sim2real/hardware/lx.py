@@ -146,28 +146,38 @@ class LxBus(ServoBus):
         )
 
     def servo(self, servo_id: int) -> BusServo:
-        """The scale of a servo, which is the same for all of this family."""
+        """Scale of a servo, the same for all; others raise ``Stopped`` or ``InputError``."""
         return BusServo(servo_id, SCALE, ("temperature_C",))
 
+    def settings(self, servo_id: int) -> dict[str, Any]:
+        """Settings of a servo, for the recording: this protocol tells none."""
+        return {}
+
     def saved(self, servo_id: int) -> dict[str, int]:
-        """Nothing, of a servo that answers: only the torque changes, which is off in the end."""
+        """What ``begin`` changes and ``restore`` restores, of a servo that must answer: nothing.
+
+        Only the torque changes, which is off in the end.
+        """
         self._required(servo_id, LxCommand.LOAD_READ)
         return {}
 
     def reading(self, servo_id: int) -> Reading:
-        """Position and temperature of a servo that must answer."""
+        """Position and temperature of a servo that must answer; ``Stopped`` if it does not."""
         temperature = self._required(servo_id, LxCommand.TEMP_READ)
         return Reading(self._required(servo_id, LxCommand.POS_READ), temperature_C=temperature)
 
     def begin(self, goals: Mapping[int, int]) -> None:
-        """Hold these set-points (ticks by identity) with the torque on."""
+        """Hold set-points (ticks by identity), torque on, without profile; ``Stopped`` if not."""
         for servo_id, ticks in goals.items():
             if not self._set_load(servo_id, on=True):
                 raise Stopped(f"servo {servo_id} does not switch on")
             self.exchange([move(servo_id, ticks)], time.monotonic())
 
     def cycle(self, goals: Mapping[int, int], deadline: float) -> Cycle:
-        """Send set-points and read each servo, which may take what later ones do not need."""
+        """Send set-points (ticks by identity) and read each servo by ``deadline``.
+
+        A servo may take the time that later ones do not need.
+        """
         self.drain()
         ids = list(goals)
         asked = ids[self._turn // 2 % len(ids)]
@@ -205,7 +215,7 @@ class LxBus(ServoBus):
         )
 
     def restore(self, servo_id: int, saved: Mapping[str, int]) -> bool:
-        """Stop a servo and switch its torque off."""
+        """Stop a servo and switch its torque off; whether it confirmed all."""
         self.drain()
         self.exchange([Packet(servo_id, LxCommand.MOVE_STOP)], time.monotonic())
         return self._set_load(servo_id, on=False)
@@ -215,7 +225,7 @@ class LxBus(ServoBus):
         return self._wire_s(24 * count + 14)
 
     def sample_delay_s(self, count: int) -> float:
-        """Time on the wire of the request for a position, which follows each set-point."""
+        """Time from a set-point to the sampling of the position: the request on the wire."""
         return self._wire_s(6)
 
     def _set_load(self, servo_id: int, *, on: bool) -> bool:

@@ -15,8 +15,9 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.errors import InputError
+from sim2real.hardware.buses import Bus
 from sim2real.hardware.mounting import Mounting
-from sim2real.hardware.servo_bus import Cycle, ServoBus, Stopped, reason
+from sim2real.hardware.servo_bus import Cycle, Stopped, reason
 from sim2real.output import check_writable, is_stream, write_json
 
 CONTACT_S = 0.5
@@ -135,7 +136,7 @@ def columns(mountings: Sequence[Mounting]) -> list[str]:
 
 def record(
     run: Run,
-    bus: ServoBus,
+    bus: Bus,
     command: Array,
     write: Callable[[Sequence[float]], None],
     *,

@@ -17,10 +17,10 @@ from typing import Any
 from tqdm import tqdm
 
 from sim2real.errors import InputError
-from sim2real.hardware.buses import Changed, Connection
+from sim2real.hardware.buses import Bus, Changed, Connection
 from sim2real.hardware.mounting import Mounting, Wiring, mount
 from sim2real.hardware.recorder import BUSY_SHARE, Run, columns, record, row_file
-from sim2real.hardware.servo_bus import ServoBus, Stopped, reason
+from sim2real.hardware.servo_bus import Stopped, reason
 from sim2real.robot import Robot
 from sim2real.signals import Excitation
 
@@ -69,7 +69,7 @@ APPROACH_RAD_S = 0.5
 LARGEST_JUMP_RAD = 0.1
 
 
-def mounted(bus: ServoBus, robot: Robot, wiring: Wiring) -> tuple[Mounting, ...]:
+def mounted(bus: Bus, robot: Robot, wiring: Wiring) -> tuple[Mounting, ...]:
     """The servos in their joints, with the scales that they report.
 
     ``Stopped`` if a servo does not answer, ``InputError`` if its model is unknown, it does not
@@ -133,7 +133,7 @@ def drive(
 
 
 def approach(
-    bus: ServoBus,
+    bus: Bus,
     mountings: Sequence[Mounting],
     target: Sequence[float],
     *,

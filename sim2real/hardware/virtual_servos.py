@@ -19,12 +19,6 @@ _STALL_A = 1.0
 """Current at the stall torque."""
 
 
-_FIXED = {
-    LxCommand.VIN_LIMIT_READ: bytes((0x94, 0x11, 0xE0, 0x2E)),  # 4500 to 12000 mV
-    LxCommand.TEMP_MAX_LIMIT_READ: bytes((85,)),
-}
-
-
 class VirtualLx(VirtualServo):
     """One LX servo, with the commands of ``LxCommand``; the time of a move is ignored."""
 
@@ -40,21 +34,18 @@ class VirtualLx(VirtualServo):
         if not expects_reply(packet):
             self._obey(packet.code, packet.parameters, now)
         elif not everyone or packet.code == LxCommand.ID_READ:
-            return Packet(self.servo_id, packet.code, self._answer(packet.code, now))
+            ticks = max(min(self.ticks(now), 32767), -32768)
+            answers = {
+                LxCommand.POS_READ: ticks.to_bytes(2, "little", signed=True),
+                LxCommand.VIN_READ: round(1000 * self._supply_V).to_bytes(2, "little"),
+                LxCommand.TEMP_READ: bytes((self._degrees(now),)),
+                LxCommand.LOAD_READ: bytes((self.powered,)),
+                LxCommand.ID_READ: bytes((self.servo_id,)),
+                LxCommand.VIN_LIMIT_READ: bytes((0x94, 0x11, 0xE0, 0x2E)),  # 4500 to 12000 mV
+                LxCommand.TEMP_MAX_LIMIT_READ: bytes((85,)),
+            }
+            return Packet(self.servo_id, packet.code, answers[LxCommand(packet.code)])
         return None
-
-    def _answer(self, command: int, now: float) -> bytes:
-        if command == LxCommand.POS_READ:
-            return max(min(self.ticks(now), 32767), -32768).to_bytes(2, "little", signed=True)
-        if command == LxCommand.VIN_READ:
-            return round(1000 * self._supply_V).to_bytes(2, "little")
-        if command == LxCommand.TEMP_READ:
-            return bytes((self._degrees(now),))
-        if command == LxCommand.LOAD_READ:
-            return bytes((self.powered,))
-        if command == LxCommand.ID_READ:
-            return bytes((self.servo_id,))
-        return _FIXED[LxCommand(command)]
 
     def _obey(self, command: int, parameters: bytes, now: float) -> None:
         if command == LxCommand.MOVE_TIME_WRITE and len(parameters) == 4:
