@@ -18,7 +18,7 @@ from sim2real.arrays import Array
 from sim2real.commands.command import numbers
 from sim2real.errors import InputError
 from sim2real.hardware.datagram import shared_key
-from sim2real.hardware.session import interruption
+from sim2real.hardware.recorder import interruption
 from sim2real.output import check_writable, provenance
 from sim2real.recording import Recording, write_recording
 from sim2real.robot import Robot, read_robot
@@ -105,8 +105,8 @@ def _on_bus(
     from rl.deploy.robots import bus_robot
     from sim2real.hardware.buses import bus_class, connection
     from sim2real.hardware.mounting import Wiring
+    from sim2real.hardware.recorder import mounted, priority
     from sim2real.hardware.servo_bus import Stopped
-    from sim2real.hardware.session import mounted, priority
 
     robot = _described(options, policy)
     ids = numbers("--ids", options.ids, int, "whole numbers, as 1,2,3")

@@ -16,9 +16,8 @@ from sim2real.errors import InputError, if_installed
 from sim2real.hardware.bench import load_of, robot_text, scan, table
 from sim2real.hardware.buses import Connection, bus_class, connection
 from sim2real.hardware.mounting import Wiring, check_ids
-from sim2real.hardware.recorder import Run
+from sim2real.hardware.recorder import RATE_HZ, Run, drive, priority
 from sim2real.hardware.servo_bus import PATIENCE_S, Stopped
-from sim2real.hardware.session import RATE_HZ, drive, priority
 from sim2real.model import Model, write_model
 from sim2real.output import provenance, write_whole
 from sim2real.recording import Recording, read_recording

@@ -18,8 +18,8 @@ from sim2real.hardware.bench import table
 from sim2real.hardware.buses import bus_class, connection
 from sim2real.hardware.datagram import shared_key
 from sim2real.hardware.mounting import check_ids
+from sim2real.hardware.recorder import interruption, priority
 from sim2real.hardware.registers import model_named, servo_models
-from sim2real.hardware.session import interruption, priority
 from sim2real.hardware.virtual_bus import Law, VirtualBus, VirtualServo
 from sim2real.hardware.virtual_link import serve_terminal, serve_udp
 from sim2real.hardware.virtual_servos import VirtualDynamixel, VirtualFeetech, VirtualLx

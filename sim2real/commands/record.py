@@ -14,9 +14,8 @@ from sim2real.commands.command import numbers
 from sim2real.errors import InputError
 from sim2real.hardware.buses import bus_class, connection
 from sim2real.hardware.mounting import Wiring
-from sim2real.hardware.recorder import Run
+from sim2real.hardware.recorder import RATE_HZ, Run, drive, priority
 from sim2real.hardware.servo_bus import Stopped
-from sim2real.hardware.session import RATE_HZ, drive, priority
 from sim2real.output import check_writable, provenance
 from sim2real.recording import SCHEMA
 from sim2real.robot import Joint, Robot, read_robot
@@ -100,7 +99,7 @@ def report(command: str, out: Path, run: Run) -> int:
     missing = ", ".join(f"{name} {count}" for name, count in run.missing.items())
     print(
         f"{run.written(out)}; missing positions: {missing}; {run.skipped} set-points skipped; "
-        f"99.9 % of cycles within {1e3 * run.late_999_s():.1f} ms; {run.torque}"
+        f"99.9 % of cycles within {1e3 * run.late_999_s:.1f} ms; {run.torque}"
     )
     return 1 if run.unreleased else 0
 

@@ -192,7 +192,7 @@ def play(tmp_path, clock):
 
     def run(takes, command):
         rows, bus, run = [], LxBus(Line(clock, takes)), Run(mountings)
-        recorder.record(run, bus, command, rows.append, rate_hz=HZ, hottest_C=65)
+        recorder.record(run, bus, command, rows.append, hottest_C=65)
         return run, np.array(rows)
 
     return run
@@ -239,7 +239,7 @@ def test_a_silent_servo_leaves_the_others_their_time(tmp_path, clock):
     three = [LxBus(None).servo(k) for k in (1, 2, 3)]
     run = Run(mount(read_robot(robot_file(tmp_path, 3)), three, Wiring([1, 2, 3])))
     bus = LxBus(Silent(clock, None))
-    recorder.record(run, bus, np.zeros((50, 3)), lambda _: None, rate_hz=HZ, hottest_C=65)
+    recorder.record(run, bus, np.zeros((50, 3)), lambda _: None, hottest_C=65)
     assert run.stopped == "no reply from j1's servo for 0.5 s"
     for cycle in np.reshape(given, (-1, 4)):
         assert cycle.min() > 0.0024
