@@ -103,15 +103,14 @@ def _on_bus(
 ) -> Iterator[str]:
     """URL of a robot whose servos are on a bus of this computer."""
     from rl.deploy.robots import bus_robot
-    from sim2real.hardware.buses import bus_class, connection
+    from sim2real.hardware.buses import bus_class, connection, ids_of
     from sim2real.hardware.mounting import Wiring
     from sim2real.hardware.recorder import mounted, priority
     from sim2real.hardware.servo_bus import Stopped
 
     robot = _described(options, policy)
-    ids = numbers("--ids", options.ids, int, "whole numbers, as 1,2,3")
-    wiring = Wiring(ids, reverse=options.reverse)
-    wiring.check(robot, bus_class(options.bus).protocol.largest_id)
+    wiring = Wiring(ids_of(options.ids, bus_class(options.bus)), reverse=options.reverse)
+    wiring.check(robot)
     rest = np.clip(0.0, policy.low, policy.high).astype(np.float64)
     try:
         with (

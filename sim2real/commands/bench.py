@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Sequence
 
@@ -10,17 +11,18 @@ import numpy as np
 
 from sim2real import verbs
 from sim2real.check import check
+from sim2real.commands.buses import scanned, table
 from sim2real.commands.command import numbers
 from sim2real.commands.record import check_new, check_temperature, report, sidecar
 from sim2real.errors import InputError, if_installed
-from sim2real.hardware.bench import load_of, robot_text, scan, table
-from sim2real.hardware.buses import Connection, bus_class, connection
-from sim2real.hardware.mounting import Wiring, check_ids
+from sim2real.hardware.buses import Connection, bus_class, connection, ids_of
+from sim2real.hardware.mounting import Wiring
 from sim2real.hardware.recorder import RATE_HZ, Run, drive, priority
-from sim2real.hardware.servo_bus import PATIENCE_S, Stopped
-from sim2real.model import Model, write_model
+from sim2real.hardware.registers import model_named
+from sim2real.hardware.servo_bus import PATIENCE_S, Found, Stopped
+from sim2real.model import write_model
 from sim2real.output import provenance, write_whole
-from sim2real.recording import Recording, read_recording
+from sim2real.recording import read_recording
 from sim2real.robot import Robot, read_robot
 from sim2real.servo.prediction import replay
 from sim2real.signals import excitation
@@ -32,8 +34,7 @@ FILES = ("robot.toml", "steps.csv", "steps.json", "model.json", "index.html")
 
 def run(options: argparse.Namespace) -> int:
     """Scan, record steps, identify, and write a page; 1 if the recording stopped early, else 0."""
-    ids = numbers("--ids", options.ids, int, "numbers, as 1,2,3")
-    check_ids(ids, bus_class(options.bus).protocol.largest_id)
+    ids = ids_of(options.ids, bus_class(options.bus))
     check_temperature(options.max_temperature)
     for name in FILES[options.robot is not None :]:
         check_new(options.out / name, options)
@@ -53,7 +54,18 @@ def run(options: argparse.Namespace) -> int:
     model = verbs.identify([recording], robot, seed=options.seed)
     write_model(model, options.out / "model.json")
     print(model)
-    _write_page(options, recording, robot, model)
+    with if_installed("page"):
+        from sim2real.report.identification import identification_section
+        from sim2real.report.page import write_page
+        from sim2real.report.recordings import recordings_section
+
+        shown = replay(model, [recording])
+        fits = [(one.recording, one.joint, one.predicted, one.held_out) for one in shown]
+        checked = check(recording, robot, seed=options.seed)
+        sections = [identification_section(model, fits), recordings_section([recording], [checked])]
+        page = options.out / "index.html"
+        write_page(page, robot.name, f"{options.bus} servos", sections, model.provenance)
+        print(f"\npage: {page}")
     return 0
 
 
@@ -61,7 +73,7 @@ def _recorded(
     options: argparse.Namespace, link: Connection, ids: Sequence[int], loads: list[Load] | None
 ) -> tuple[Robot, Run]:
     """Find the servos, ask for their loads unless they are given, and record steps of all."""
-    servos, _ = scan(link.bus, ids, PATIENCE_S)
+    servos, _ = scanned(link.bus, ids, PATIENCE_S)
     if missing := sorted(set(ids) - {servo.servo_id for servo in servos}):
         asked = f"servo {', '.join(map(str, missing))} ({link.bus.name}, {link.bus.baud} baud)"
         raise Stopped(f"no reply from {asked}: check supply, --ids, --bus and --baud")
@@ -72,7 +84,7 @@ def _recorded(
     if text is not None:
         write_whole(options.out / "robot.toml", text)
     robot, wiring = read_robot(options.robot or options.out / "robot.toml"), Wiring(ids)
-    joints = wiring.check(robot, link.bus.protocol.largest_id)
+    joints = wiring.check(robot)
     rng = np.random.default_rng(options.seed)
     signal = excitation("steps", robot.joints, seconds=options.seconds, rate_hz=RATE_HZ, rng=rng)
     sent = sidecar(
@@ -87,22 +99,40 @@ def _recorded(
     return robot, drive(link, robot, wiring, signal, steps, sent, hottest_C=limit)
 
 
-def _write_page(
-    options: argparse.Namespace, recording: Recording, robot: Robot, model: Model
-) -> None:
-    """The page, if the extra for reports is installed."""
-    with if_installed("page"):
-        from sim2real.report.identification import identification_section
-        from sim2real.report.page import write_page
-        from sim2real.report.recordings import recordings_section
+def robot_text(
+    bus: str, servos: Sequence[Found], reach_rad: float, *, longest_rad: float = 2.5
+) -> str:
+    """A ``robot.toml`` with a joint of +-``reach_rad`` a servo; ``InputError`` without ratings."""
+    if not 0 < reach_rad <= longest_rad:
+        expected = f"more than 0 and at most {longest_rad:g} rad"
+        raise InputError("--reach", "", f"{reach_rad:g} rad", expected)
+    parts, joints = ['name = "bench"'], []
+    for k, servo in enumerate(servos, start=1):
+        model, supply = model_named(bus, servo.model), servo.supply_V
+        rating = None if model is None or supply is None else model.rating(supply)
+        if model is None or rating is None:
+            found = f"no ratings of servo {servo.servo_id} ({servo.model or bus})"
+            raise InputError("--robot", "", found, "a robot.toml with its torque and speed")
+        parts.append(f"""
+# {model.name} at {rating.supply_V:g} V: {model.source}
+[servos.j{k}]
+max_torque_Nm = {rating.stall_torque_Nm:g}
+no_load_speed_rad_s = {rating.no_load_speed_rad_s:.3f}
+position_step_rad = {2 * math.pi / model.ticks_per_turn:.6f}
+""")
+        limits = f"limits_rad = [{-reach_rad:g}, {reach_rad:g}]"
+        joints.append(f'[[joints]]\nname = "j{k}"\nservo = "j{k}"\n{limits}\n')
+    links = [f'[[links]]\nname = "link{k + 1}"\n' for k in range(len(servos) + 1)]
+    return "\n".join([*parts, *links, *joints])
 
-        shown = replay(model, [recording])
-        fits = [(one.recording, one.joint, one.predicted, one.held_out) for one in shown]
-        checked = check(recording, robot, seed=options.seed)
-        sections = [identification_section(model, fits), recordings_section([recording], [checked])]
-        page = options.out / "index.html"
-        write_page(page, robot.name, f"{options.bus} servos", sections, model.provenance)
-        print(f"\npage: {page}")
+
+def load_of(mass_kg: float, arm_m: float, *, hangs: bool) -> Load:
+    """Load of a mass at the end of an arm, as in a recording's JSON.
+
+    With gravity if it hangs straight down at 0; otherwise the shaft is vertical.
+    """
+    load = {"inertia_kgm2": mass_kg * arm_m**2}
+    return load | ({"pendulum_mass_kg": mass_kg, "pendulum_length_m": arm_m} if hangs else {})
 
 
 def _given_loads(options: argparse.Namespace, count: int) -> list[Load] | None:

@@ -5,21 +5,18 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
 import numpy as np
 from tqdm import tqdm
 
-from sim2real.commands.command import numbers
 from sim2real.errors import InputError, one_of
-from sim2real.hardware.bench import scan as scanned
-from sim2real.hardware.bench import table
-from sim2real.hardware.buses import bus_class, connection
+from sim2real.hardware.buses import Bus, bus_class, connection, ids_of
 from sim2real.hardware.datagram import shared_key
-from sim2real.hardware.mounting import check_ids
 from sim2real.hardware.recorder import interruption, priority
 from sim2real.hardware.registers import model_named, servo_models
+from sim2real.hardware.servo_bus import Found
 from sim2real.hardware.virtual_bus import Law, VirtualBus, VirtualServo
 from sim2real.hardware.virtual_link import serve_terminal, serve_udp
 from sim2real.hardware.virtual_servos import VirtualDynamixel, VirtualFeetech, VirtualLx
@@ -39,7 +36,7 @@ _WITH_MODELS = {
 def scan(options: argparse.Namespace) -> int:
     """Print a table of the servos that answer; 0 if one did, 1 if none."""
     kind = bus_class(options.bus)
-    ids = _ids(options.ids, kind.protocol.largest_id)
+    ids = ids_of(options.ids, kind)
     network = "://" in options.port
     rates = kind.baud_rates[: 1 if network else None] if options.baud is None else (options.baud,)
     for baud in rates:
@@ -66,18 +63,39 @@ def scan(options: argparse.Namespace) -> int:
     return 1
 
 
-def _ids(text: str, largest: int) -> list[int]:
-    """The identities in a list such as ``1,2,10-20``."""
-    ids: list[int] = []
-    try:
-        for part in text.split(","):
-            first, _, last = part.partition("-")
-            ids += range(int(first), int(last or first) + 1)
-    except ValueError:
-        ids = []
-    if not ids or not all(0 <= k <= largest for k in ids):
-        raise InputError("--ids", "", repr(text), f"numbers from 0 to {largest}, as 1,2,10-20")
-    return list(dict.fromkeys(ids))
+def scanned(
+    bus: Bus, ids: Iterable[int], patience_s: float, *, attempts: int = 3
+) -> tuple[list[Found], list[int]]:
+    """Servos that answer, and identities with corrupted answers; nothing is written to them."""
+    servos, garbled = [], []
+    for servo_id in ids:
+        before = bus.garbled
+        if any(bus.answers(servo_id, patience_s) for _ in range(attempts)):
+            servos.append(bus.look(servo_id, patience_s))
+        elif bus.garbled > before:
+            garbled.append(servo_id)
+    return servos, garbled
+
+
+def table(servos: Sequence[Found]) -> str:
+    """The servos as a table, one line each."""
+    width = max(len(servo.model) for servo in servos)
+    width = max(width, len("model")) if width else 0
+    named = f" {'model':<{width}}" if width else ""
+    lines = [f"{'id':>3}{named} {'ticks':>6} {'rad':>7} {'supply':>8} {'temp':>5}  torque  errors"]
+    for servo in servos:
+        ticks = "-" if servo.ticks is None else f"{servo.ticks}"
+        angle = "-" if servo.angle_rad is None else f"{servo.angle_rad:+.3f}"
+        supply = "-" if servo.supply_V is None else f"{servo.supply_V:.2f} V"
+        temperature = "-" if servo.temperature_C is None else f"{servo.temperature_C} C"
+        torque = "-" if servo.powered is None else "on" if servo.powered else "off"
+        errors = ", ".join(servo.errors) or "none"
+        named = f" {servo.model:<{width}}" if width else ""
+        lines.append(
+            f"{servo.servo_id:>3}{named} {ticks:>6} {angle:>7} {supply:>8} {temperature:>5}  "
+            f"{torque:<6}  {errors}"
+        )
+    return "\n".join(lines)
 
 
 def virtual_servo(options: argparse.Namespace) -> int:
@@ -87,8 +105,7 @@ def virtual_servo(options: argparse.Namespace) -> int:
         share = getattr(options, name)
         if not 0 <= share < 1:
             raise InputError(f"--{name}", "", f"{share:g}", "a share from 0 up to 1")
-    ids = numbers("--ids", options.ids, int, "whole numbers, as 1,2,3")
-    check_ids(ids, kind.protocol.largest_id)
+    ids = ids_of(options.ids, kind)
     baud = kind.baud_rates[0] if options.baud is None else options.baud
     if baud <= 0:
         raise InputError("--baud", "", f"{baud}", "a rate above 0, such as 1000000")

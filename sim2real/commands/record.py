@@ -12,7 +12,7 @@ import numpy as np
 
 from sim2real.commands.command import numbers
 from sim2real.errors import InputError
-from sim2real.hardware.buses import bus_class, connection
+from sim2real.hardware.buses import bus_class, connection, ids_of
 from sim2real.hardware.mounting import Wiring
 from sim2real.hardware.recorder import RATE_HZ, Run, drive, priority
 from sim2real.hardware.servo_bus import Stopped
@@ -142,14 +142,10 @@ def _wiring(options: argparse.Namespace, robot: Robot) -> Wiring:
         if getattr(options, name) is None:
             raise InputError(f"--{name}", "", "nothing", "it, unless with --dry-run")
     check_temperature(options.max_temperature)
-    whole = "whole numbers, as 1,2,3"
-    wiring = Wiring(
-        ids=numbers("--ids", options.ids, int, whole),
-        joints=[joint.name for joint in _joints(robot, options.joints)],
-        trim_ticks=numbers("--trim", options.trim, int, whole) if options.trim else None,
-        reverse=options.reverse,
-    )
-    wiring.check(robot, bus_class(options.bus).protocol.largest_id)
+    trim = options.trim and numbers("--trim", options.trim, int, "whole numbers, as 4,0,-2")
+    ids, joints = ids_of(options.ids, bus_class(options.bus)), _joints(robot, options.joints)
+    wiring = Wiring(ids, [joint.name for joint in joints], trim, options.reverse)
+    wiring.check(robot)
     return wiring
 
 

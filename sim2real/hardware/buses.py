@@ -133,6 +133,20 @@ def bus_class(name: str) -> type[Bus]:
     return BUSES[name]
 
 
+def ids_of(text: str, kind: type[Bus]) -> list[int]:
+    """The identities in a list such as ``1,2,10-20``, all different ones of a bus."""
+    try:
+        ends = [part.partition("-") for part in text.split(",")]
+        ids = [k for low, _, high in ends for k in range(int(low), int(high or low) + 1)]
+    except ValueError:
+        ids = []
+    largest = kind.protocol.largest_id
+    if not ids or len(set(ids)) != len(ids) or not all(0 <= k <= largest for k in ids):
+        expected = f"different numbers from 0 to {largest}, as 1,2,10-20"
+        raise InputError("--ids", "", text, expected)
+    return ids
+
+
 @contextmanager
 def connection(name: str, port: str, baud: int | None = None) -> Iterator[Connection]:
     """Context manager of an open bus; what an earlier command left changed is restored first."""

@@ -61,7 +61,7 @@ class Wiring:
     trim_ticks: Sequence[int] | None = None
     reverse: Sequence[str] | None = None
 
-    def check(self, robot: Robot, largest_id: int) -> list[str]:
+    def check(self, robot: Robot) -> list[str]:
         """Names of the joints, checked before the port is opened; ``InputError`` if wrong."""
         names = list(self.joints or [joint.name for joint in robot.joints])
         known = ", ".join(joint.name for joint in robot.joints)
@@ -74,20 +74,12 @@ class Wiring:
             if found != len(names):
                 expected = f"{len(names)}, for {', '.join(names)}"
                 raise InputError(option, "", f"{found} numbers", expected)
-        check_ids(self.ids, largest_id)
         return names
-
-
-def check_ids(ids: Sequence[int], largest: int) -> None:
-    """Raise ``InputError`` unless identities are different and exist on a bus."""
-    if not ids or len(set(ids)) != len(ids) or not all(0 <= k <= largest for k in ids):
-        given = ", ".join(str(k) for k in ids) or "nothing"
-        raise InputError("--ids", "", given, f"different numbers from 0 to {largest}")
 
 
 def mount(robot: Robot, servos: Sequence[BusServo], wiring: Wiring) -> tuple[Mounting, ...]:
     """Assign servos to the joints of a robot; ``InputError`` if one does not fit."""
-    names = wiring.check(robot, max(wiring.ids, default=0))
+    names = wiring.check(robot)
     mountings = []
     for name, servo, trim in zip(names, servos, wiring.trim_ticks or [0] * len(names), strict=True):
         joint = robot.joint(name)
