@@ -20,7 +20,7 @@ from sim2real.errors import InputError
 from sim2real.hardware.datagram import shared_key
 from sim2real.hardware.recorder import interruption
 from sim2real.output import check_writable, provenance
-from sim2real.recording import Recording, write_recording
+from sim2real.recording import POSE, Recording, write_recording
 from sim2real.robot import Robot, read_robot
 
 FEWEST_ROWS = 2
@@ -148,8 +148,7 @@ def _recording(
     options: argparse.Namespace, policy: Policy, target: Array, track: Track
 ) -> Recording:
     virtual = "Simulated by the twin, not measured: " if options.virtual else ""
-    names = ("body.x_m", "body.y_m", "body.yaw_rad")
-    columns = dict(zip(names, track.pose.T, strict=True))
+    columns = dict(zip(POSE, track.pose.T, strict=True))
     columns |= {"device_t_s": track.device_t, "inference_s": track.inference_s}
     inputs = [path for path in (options.policy, options.robot, options.model) if path is not None]
     return Recording(

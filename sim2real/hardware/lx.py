@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from enum import IntEnum
 from functools import partial
 from typing import Any, ClassVar
@@ -17,12 +18,12 @@ from sim2real.hardware.servo_bus import (
     Cycle,
     Found,
     Reading,
-    Scale,
     ServoBus,
     Stopped,
 )
 
-SCALE = Scale(math.radians(0.24), 500, 0, 1000)
+SERVO = BusServo(0, math.radians(0.24), 500, 0, 1000, ("temperature_C",))
+"""All but the identity of a servo."""
 USUAL_S = 0.0025
 """Typical time of a servo's set-point, request and reply on the wire, with the adapter."""
 
@@ -67,8 +68,8 @@ def is_reply(request: Packet, packet: Packet) -> bool:
 
 def move(servo_id: int, ticks: int) -> Packet:
     """Move to ``ticks``, from 0 to 1000, at the largest speed."""
-    if not 0 <= ticks <= SCALE.largest_ticks:
-        raise ValueError(f"{ticks} ticks is outside 0 to {SCALE.largest_ticks}")
+    if not 0 <= ticks <= SERVO.largest_ticks:
+        raise ValueError(f"{ticks} ticks is outside 0 to {SERVO.largest_ticks}")
     return Packet(servo_id, LxCommand.MOVE_TIME_WRITE, ticks.to_bytes(2, "little") + bytes(2))
 
 
@@ -138,7 +139,7 @@ class LxBus(ServoBus):
             servo_id,
             model="",
             ticks=ticks,
-            angle_rad=None if ticks is None else SCALE.angle(ticks),
+            angle_rad=None if ticks is None else SERVO.angle(ticks),
             supply_V=None if supply is None else number(supply) / 1000,
             temperature_C=None if temperature is None else number(temperature),
             powered=None if powered is None else number(powered) != 0,
@@ -147,7 +148,7 @@ class LxBus(ServoBus):
 
     def servo(self, servo_id: int) -> BusServo:
         """Scale of a servo, the same for all; others raise ``Stopped`` or ``InputError``."""
-        return BusServo(servo_id, SCALE, ("temperature_C",))
+        return replace(SERVO, servo_id=servo_id)
 
     def settings(self, servo_id: int) -> dict[str, Any]:
         """Settings of a servo, for the recording: this protocol tells none."""

@@ -31,19 +31,19 @@ class Mounting:
 
     def angle(self, ticks: int) -> float:
         """Angle of the joint in rad at ``ticks``."""
-        return self.sign * self.servo.scale.angle(ticks - self.trim_ticks)
+        return self.sign * self.servo.angle(ticks - self.trim_ticks)
 
     def ticks(self, angle: float) -> int:
         """The nearest tick to ``angle`` within the joint limits."""
         low, high = self.joint.limits_rad
-        tick = self.servo.scale.tick_rad
+        tick = self.servo.tick_rad
         steps = round(min(max(angle, low), high) / tick)
         steps = min(max(steps, math.ceil(low / tick)), math.floor(high / tick))
-        return self.servo.scale.centre_ticks + self.trim_ticks + self.sign * steps
+        return self.servo.centre_ticks + self.trim_ticks + self.sign * steps
 
     def within(self, ticks: int) -> int:
         """The nearest set-point that the servo accepts."""
-        return min(max(ticks, self.servo.scale.lowest_ticks), self.servo.scale.largest_ticks)
+        return min(max(ticks, self.servo.lowest_ticks), self.servo.largest_ticks)
 
     def check_temperature(self, temperature_C: float, hottest_C: float) -> None:
         """Raise ``Stopped`` if the servo is too hot; NaN is not."""
@@ -85,7 +85,7 @@ def mount(robot: Robot, servos: Sequence[BusServo], wiring: Wiring) -> tuple[Mou
         joint = robot.joint(name)
         assert joint is not None
         mounting = Mounting(joint, servo, trim, -1 if name in (wiring.reverse or []) else 1)
-        ends = [mounting.angle(servo.scale.lowest_ticks), mounting.angle(servo.scale.largest_ticks)]
+        ends = [mounting.angle(servo.lowest_ticks), mounting.angle(servo.largest_ticks)]
         low, high = joint.limits_rad
         if low < min(ends) or high > max(ends):
             limits = f"{low:g} to {high:g} rad for {name}"

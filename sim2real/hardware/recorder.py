@@ -349,9 +349,9 @@ def approach(
         reading = bus.reading(mounting.servo_id)
         mounting.check_temperature(reading.temperature_C, hottest_C)
         assert reading.position_ticks is not None
-        ticks, scale = reading.position_ticks, mounting.servo.scale
-        if abs(mounting.within(ticks) - ticks) * scale.tick_rad > LARGEST_JUMP_RAD:
-            ends = f"{scale.lowest_ticks} to {scale.largest_ticks} ticks"
+        ticks, servo = reading.position_ticks, mounting.servo
+        if abs(mounting.within(ticks) - ticks) * servo.tick_rad > LARGEST_JUMP_RAD:
+            ends = f"{servo.lowest_ticks} to {servo.largest_ticks} ticks"
             found = f"{mounting.joint.name}'s servo is at {ticks} ticks"
             raise Stopped(f"{found}, outside its range of {ends}: turn it by hand")
         start[mounting.servo_id] = ticks
@@ -362,7 +362,7 @@ def approach(
         return {k: m.within(start[k] + round(share * ways[k])) for k, m in ids.items()}
 
     bus.begin(goals(0.0))
-    fastest = APPROACH_RAD_S / min(mounting.servo.scale.tick_rad for mounting in mountings)
+    fastest = APPROACH_RAD_S / min(mounting.servo.tick_rad for mounting in mountings)
     longest = max(abs(way) for way in ways.values()) / fastest
     begin = time.monotonic()
     while (now := time.monotonic() - begin) < longest + settle_s:

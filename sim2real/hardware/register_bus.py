@@ -81,7 +81,7 @@ class RegisterBus(ServoBus):
             servo_id,
             model=model.name,
             ticks=ticks,
-            angle_rad=None if ticks is None else model.scale(0, 0).angle(ticks),
+            angle_rad=None if ticks is None else model.servo(servo_id).angle(ticks),
             supply_V=None if tenths is None else tenths / 10,
             temperature_C=values.get("present_temperature"),
             powered=None if TORQUE not in values else values[TORQUE] != 0,
@@ -100,7 +100,7 @@ class RegisterBus(ServoBus):
         if mode in self.layout.multi_turn_modes or low == high:
             turns = TURNS * math.floor(model.ticks_per_turn)
             low, high = model.centre_ticks - turns, model.centre_ticks + turns
-        return BusServo(servo_id, model.scale(low, high), model.quantities)
+        return model.servo(servo_id, low, high)
 
     def settings(self, servo_id: int) -> dict[str, Any]:
         """Settings of a servo: registers by name, and its gains in the manual's units."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
-from sim2real.hardware.servo_bus import Reading, Scale
+from sim2real.hardware.servo_bus import BusServo, Reading
 
 
 @dataclass(frozen=True)
@@ -180,12 +180,12 @@ class ServoModel:
     @property
     def velocity_unit_rad_s(self) -> float:
         """Unit of its velocities."""
-        return self.layout.velocity_unit_rad_s or self.scale(0, 0).tick_rad
+        return self.layout.velocity_unit_rad_s or 2 * math.pi / self.ticks_per_turn
 
-    def scale(self, lowest_ticks: int, largest_ticks: int) -> Scale:
-        """Conversion of its ticks, with the range of set-points that it accepts."""
-        tick_rad = 2 * math.pi / self.ticks_per_turn
-        return Scale(tick_rad, self.centre_ticks, lowest_ticks, largest_ticks)
+    def servo(self, servo_id: int, lowest_ticks: int = 0, largest_ticks: int = 0) -> BusServo:
+        """A servo of this model, with the range of set-points that it accepts."""
+        tick_rad, ends = 2 * math.pi / self.ticks_per_turn, (lowest_ticks, largest_ticks)
+        return BusServo(servo_id, tick_rad, self.centre_ticks, *ends, self.quantities)
 
     def rating(self, supply_V: float) -> Rating | None:
         """The ratings at the voltage nearest to a supply."""

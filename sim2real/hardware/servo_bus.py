@@ -21,26 +21,22 @@ QUIET_S = 0.02
 
 
 @dataclass(frozen=True)
-class Scale:
-    """Conversion of the ticks in which a servo counts angles, and its range of set-points."""
+class BusServo:
+    """A servo on the bus: the ticks in which it counts angles, and its range of set-points.
 
+    ``quantities`` are columns of what it reports in each cycle besides its position.
+    """
+
+    servo_id: int
     tick_rad: float
     centre_ticks: int
     lowest_ticks: int
     largest_ticks: int
+    quantities: tuple[str, ...]
 
     def angle(self, ticks: float) -> float:
         """Angle from the centre in rad."""
         return (ticks - self.centre_ticks) * self.tick_rad
-
-
-@dataclass(frozen=True)
-class BusServo:
-    """A servo on the bus, and columns of what it reports in each cycle besides its position."""
-
-    servo_id: int
-    scale: Scale
-    quantities: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ carry a marker have a coloured patch.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from sim2real.arrays import Array, Mask, Picture
 from sim2real.errors import InputError
 from sim2real.hardware.camera import Blob, Camera, Marker, Plane
 from sim2real.hardware.registration import Finder, Sighting
-from sim2real.recording import Recording
+from sim2real.recording import POSE, Recording
 from sim2real.structured import LARGEST_STREAM_BYTES, check_size
 from sim2real.velocity import body_velocity
 
@@ -267,16 +268,10 @@ def _explained(rates: Array, yaw_rate: Array, lag: int, shortest: float) -> floa
 
 
 def joined(track: Track, servo: Recording, start_s: float) -> dict[str, Array]:
-    """Body columns on the recording's clock; the video's first frame is at ``start_s``."""
+    """Body columns on the recording's clock, missing beside a frame without the body.
+
+    The video's first frame is at ``start_s``.
+    """
     t = servo.t - start_s
-    gap = 1.5 * float(np.median(np.diff(track.t)))
-    frame_t = track.t[track.seen]
-    after = np.searchsorted(frame_t, t)
-    before, after = (np.clip(k, 0, frame_t.size - 1) for k in (after - 1, after))
-    inside = (t >= frame_t[0]) & (t <= frame_t[-1])
-    valid = inside & (frame_t[after] - frame_t[before] <= gap)
-    names = ("body.x_m", "body.y_m", "body.yaw_rad")
-    return {
-        name: np.where(valid, np.interp(t, frame_t, column), np.nan)
-        for name, column in zip(names, track.pose[track.seen].T, strict=True)
-    }
+    poses = zip(POSE, track.pose.T, strict=True)
+    return {name: np.interp(t, track.t, x, math.nan, math.nan) for name, x in poses}

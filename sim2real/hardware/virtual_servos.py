@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import ClassVar, Literal
 
 from sim2real.hardware.frames import BROADCAST, Instruction, Packet
-from sim2real.hardware.lx import SCALE, LxCommand, expects_reply
+from sim2real.hardware.lx import SERVO, LxCommand, expects_reply
 from sim2real.hardware.register_bus import ALERT
 from sim2real.hardware.registers import TORQUE, ServoModel
 from sim2real.hardware.virtual_bus import Law, VirtualServo
@@ -24,7 +24,7 @@ class VirtualLx(VirtualServo):
 
     def ticks(self, now: float) -> int:
         """Reported position in ticks of 0.24 degrees."""
-        return SCALE.centre_ticks + round(self.angle(now) / SCALE.tick_rad)
+        return SERVO.centre_ticks + round(self.angle(now) / SERVO.tick_rad)
 
     def handle(self, packet: Packet, now: float) -> Packet | None:
         """Process a packet; the reply, if it is a request to this servo."""
@@ -50,7 +50,7 @@ class VirtualLx(VirtualServo):
     def _obey(self, command: int, parameters: bytes, now: float) -> None:
         if command == LxCommand.MOVE_TIME_WRITE and len(parameters) == 4:
             ticks = int.from_bytes(parameters[:2], "little")
-            self.command(now, SCALE.angle(min(ticks, SCALE.largest_ticks)))
+            self.command(now, SERVO.angle(min(ticks, SERVO.largest_ticks)))
         elif command == LxCommand.MOVE_STOP:
             self.hold(now)
         elif command == LxCommand.LOAD_WRITE and len(parameters) == 1:
@@ -76,7 +76,7 @@ class RegisterServo(VirtualServo):
     ) -> None:
         super().__init__(servo_id, law, now, **more)
         self.model, self.memory = model, bytearray(256)
-        self._layout, self._scale = model.layout, model.scale(0, 0)
+        self._layout, self._scale = model.layout, model.servo(servo_id)
         self._heard = now
         rating = model.rating(self._supply_V)
         self._stall_Nm = law.kp_Nm_per_rad if rating is None else rating.stall_torque_Nm

@@ -9,13 +9,12 @@ import numpy as np
 
 from sim2real.arrays import Array, Mask
 from sim2real.diagnose.result import Diagnosis, JointSeries
-from sim2real.recording import Recording
+from sim2real.recording import POSE, Recording
 from sim2real.robot import Robot
 from sim2real.units import readable_name, unit_of
 
 COMMAND, MEASURED, PREDICTED = "command", "measured", "predicted"
 """Names of signals; a command holds until the next one."""
-POSE = ("body.x_m", "body.y_m", "body.yaw_rad")
 _OTHER_UNITS = {"_A": "A", "_V": "V", "_C": "°C"}
 """Units of columns that no parameter has."""
 
