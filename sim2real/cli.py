@@ -13,7 +13,6 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
-from functools import partial
 
 from sim2real.commands.files import check_files
 from sim2real.commands.streams import Lenient, occupy_standard_descriptors, run_as_json
@@ -132,7 +131,8 @@ def _run(options: argparse.Namespace) -> int:
     module, _, function = options.module.partition(":")
     run = getattr(importlib.import_module(module), function or "run")
     with warnings.catch_warnings(), results() as files, contextlib.ExitStack() as stack:
-        warnings.showwarning = partial(_show_warning, options.command)
+        said = f"sim2real {options.command}:"
+        warnings.showwarning = lambda text, *_, **__: print(said, "warning:", text, file=sys.stderr)
         check_files(options, files)
         options.files = files
         if is_standard_output(getattr(options, "out", None) or ""):
@@ -141,12 +141,8 @@ def _run(options: argparse.Namespace) -> int:
             status: int = run_as_json(run, options) if options.json else run(options)
         finally:
             for sentence in files.kept:
-                print(f"sim2real {options.command}: {sentence}", file=sys.stderr)
+                print(said, sentence, file=sys.stderr)
     return 1 if files.kept else status
-
-
-def _show_warning(command: str, message: Warning | str, *_: object, **__: object) -> None:
-    print(f"sim2real {command}: warning: {message}", file=sys.stderr)
 
 
 def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:

@@ -24,8 +24,6 @@ from sim2real.model import read_model
 
 LOCAL_S, NETWORK_S = 0.01, 0.05  # delay of an adapter or a radio
 EXCHANGE_BITS = 32 * 10  # a request and its reply on the wire
-_RESET = ": switch their supply off and on again"
-_PASS = ": pass it as --baud to other commands"
 _WITH_MODELS = {
     "dynamixel": ("XL330-M288", VirtualDynamixel),
     "feetech": ("STS3215", VirtualFeetech),
@@ -55,7 +53,10 @@ def scan(options: argparse.Namespace) -> int:
             options.result = servos
             print(table(servos))
             if baud != kind.baud_rates[0] and options.baud is None:
-                print(f"They answer at {baud} baud{_RESET if options.bus == 'lx' else _PASS}.")
+                advice = "pass it as --baud to other commands"
+                if options.bus == "lx":
+                    advice = "switch their supply off and on again"
+                print(f"They answer at {baud} baud: {advice}.")
             return 0
     tried = f"{options.port} ({options.bus}, {', '.join(map(str, rates))} baud)"
     advice = "check supply, --bus, --baud and --ids"

@@ -6,7 +6,6 @@ Also ``sim2real robot``: a URDF becomes a robot.
 from __future__ import annotations
 
 import argparse
-import sys
 import tomllib
 
 from sim2real import exchange
@@ -33,19 +32,14 @@ def run(options: argparse.Namespace) -> int:
         about = f"gain {settings['firmware_gain']:g}, supply {settings['supply_V']:g} V"
         notes = [f"  {note}" for note in found.joints["j1"].notes]
     else:
-        about, notes = _summary(found), _remarks(found)
+        about = _summary(found)
+        notes = [f"! {warning}" for warning in found.metadata.get("import_warnings", ())]
+        findings = [one for one in all_findings(found) if one.severity != "note"]
+        notes += [f"! {finding.severity}: {finding.text}" for finding in findings]
+        if unknown := [joint for joint in found.joints if joint not in found.loads]:
+            notes.append(_UNKNOWN_LOAD.format(joints=", ".join(unknown), joint=unknown[0]))
     print("\n".join([f"{options.out}: {about}", *notes]))
     return 0
-
-
-def _remarks(recording: Recording) -> list[str]:
-    """What the importer and the check warn of, and what unknown loads lead to."""
-    lines = [f"! {warning}" for warning in recording.metadata.get("import_warnings", ())]
-    findings = [one for one in all_findings(recording) if one.severity != "note"]
-    lines += [f"! {finding.severity}: {finding.text}" for finding in findings]
-    if unknown := [joint for joint in recording.joints if joint not in recording.loads]:
-        lines.append(_UNKNOWN_LOAD.format(joints=", ".join(unknown), joint=unknown[0]))
-    return lines
 
 
 def _summary(recording: Recording) -> str:
@@ -80,5 +74,5 @@ def robot(options: argparse.Namespace) -> int:
     print(out)
     if lines:
         print("not in it, to be filled in where a command asks for it:")
-        sys.stdout.writelines(f"  {line}\n" for line in lines)
+        print("\n".join(f"  {line}" for line in lines))
     return 0

@@ -206,7 +206,7 @@ def record(
     """
     period = 1 / RATE_HZ
     start = time.monotonic() + period
-    answered_s = [start] * len(run.mountings)
+    answered_s = dict.fromkeys(run.missing, start)
     k = 0
     try:
         while k < len(command):
@@ -220,7 +220,16 @@ def record(
             cycle = bus.cycle(goals, due + BUSY_SHARE * period)
             write(_row(cycle, goals, start, run.mountings))
             run.rows += 1
-            _check(cycle, goals, answered_s, run, hottest_C)
+            for mounting, reading in zip(run.mountings, cycle.readings, strict=True):
+                name = mounting.joint.name
+                if reading.position_ticks is not None:
+                    answered_s[name] = cycle.sent_s
+                else:
+                    run.missing[name] += 1
+                    if cycle.sent_s - answered_s[name] > CONTACT_S:
+                        raise Stopped(f"no reply from {name}'s servo for {CONTACT_S:g} s")
+                run.lost[name] += reading.goal_ticks not in (None, goals[mounting.servo_id])
+                mounting.check_temperature(reading.temperature_C, hottest_C)
             after = max(k + 1, math.ceil((time.monotonic() - start) / period - 0.5))
             run.skipped += min(after, len(command)) - (k + 1)
             progress(after - k)
@@ -249,22 +258,6 @@ def _row(
         cycle.round_trip_s,
         cycle.device_s,
     ]
-
-
-def _check(
-    cycle: Cycle, goals: dict[int, int], answered_s: list[float], run: Run, hottest_C: float
-) -> None:
-    """Count what is missing, and stop if a servo is lost or too hot."""
-    for j, (mounting, reading) in enumerate(zip(run.mountings, cycle.readings, strict=True)):
-        name = mounting.joint.name
-        if reading.position_ticks is not None:
-            answered_s[j] = cycle.sent_s
-        else:
-            run.missing[name] += 1
-            if cycle.sent_s - answered_s[j] > CONTACT_S:
-                raise Stopped(f"no reply from {name}'s servo for {CONTACT_S:g} s")
-        run.lost[name] += reading.goal_ticks not in (None, goals[mounting.servo_id])
-        mounting.check_temperature(reading.temperature_C, hottest_C)
 
 
 def mounted(bus: Bus, robot: Robot, wiring: Wiring) -> tuple[Mounting, ...]:

@@ -26,12 +26,8 @@ from sim2real.hardware.servo_bus import (
 )
 from sim2real.hardware.transport import Transport
 
-FIRST_SHARE = 0.7
-"""Share of a cycle's time after which an answer counts as missing."""
 TURNS = 7
 """Turns to each side that are used of servos that do several."""
-ADAPTER_S = 0.003
-"""Longest usual time of adapter and servo besides the time on the wire."""
 ALERT = 0x80
 """Bit of a Dynamixel's error number: the register of hardware errors is not 0."""
 _SCAN = ("present_position", "present_voltage", "present_temperature")
@@ -139,16 +135,13 @@ class RegisterBus(ServoBus):
         data = {servo_id: goal.encode(ticks) for servo_id, ticks in goals.items()}
         write = self._sync_write(goal.address, data)
         begin = time.monotonic()
-        least = self.cycle_s(len(goals)) + ADAPTER_S
-        until = min(begin + max(FIRST_SHARE * (deadline - begin), least), deadline)
         start, count = self.layout.span(self.layout.reported)
         request = self._sync_read(ids, start, count)
-        blocks = self._answers(write, request, ids, count, until)
+        blocks = self._answers(write, request, ids, count, deadline)
         answered_s = time.monotonic()
-        held = self._goals_held([k for k, block in blocks.items() if block is None], deadline)
         answered = any(block is not None for block in blocks.values())
         readings = (
-            Reading(goal_ticks=held.get(k)) if block is None else self._model(k).reading(block)
+            Reading() if block is None else self._model(k).reading(block)
             for k, block in blocks.items()
         )
         return Cycle(
@@ -236,18 +229,6 @@ class RegisterBus(ServoBus):
         for name, value in values.items():
             if not self.set(servo_id, name, value):
                 raise Stopped(f"servo {servo_id} does not accept {value} as its {name}")
-
-    def _goals_held(self, ids: Sequence[int], deadline: float) -> dict[int, int]:
-        """Set-points in effect of servos whose answer is missing; positions would be too late."""
-        held, register = {}, self.layout["goal_position"]
-        for after, servo_id in zip(reversed(range(len(ids))), ids, strict=True):
-            patience = (deadline - time.monotonic()) / (after + 1)
-            if patience <= self._wire_s(3 * (register.size + self.answer_bytes)):
-                continue
-            data = self._block(servo_id, ["goal_position"], patience)
-            if data is not None:
-                held[servo_id] = register.decode(data)
-        return held
 
     def _exchange(self, request: bytes, servo_id: int, count: int, within_s: float) -> bytes | None:
         self.drain()

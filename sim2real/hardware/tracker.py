@@ -232,7 +232,12 @@ def correlated(track: Track, servo: Recording, *, reach_s: float = 10.0) -> tupl
     t = np.arange(servo.t[0], servo.t[-1], _GRID_S)
     yaw_t = np.arange(track.t[0], track.t[-1], _GRID_S)
     yaw_rate = np.interp(yaw_t, track.t, body_velocity(track.t, track.pose)[:, 2])
-    rates = np.stack([_rate(servo.t, angle, t) for angle in servo.position.T], axis=1)
+    columns = []
+    for angle in servo.position.T:
+        there = np.isfinite(angle)  # missing angles are interpolated
+        whole = np.interp(servo.t, servo.t[there], angle[there])
+        columns.append(np.interp(t, servo.t, np.gradient(whole, servo.t)))
+    rates = np.stack(columns, axis=1)
     if not (rates.std() > 0 and yaw_rate.std() > 0):
         raise ValueError("nothing moves")
     lags = np.arange(-round(reach_s / _GRID_S), round(reach_s / _GRID_S) + 1)
@@ -247,12 +252,6 @@ def correlated(track: Track, servo: Recording, *, reach_s: float = 10.0) -> tupl
         if a - 2 * b + c < 0:  # False with NaN
             offset = 0.5 * (a - c) / (a - 2 * b + c)
     return float(servo.t[0] + (lags[k] + offset) * _GRID_S), float(shares[k])
-
-
-def _rate(t: Array, angle: Array, grid: Array) -> Array:
-    """Rate of a joint on a grid of times; missing angles are interpolated."""
-    measured = np.isfinite(angle)
-    return np.interp(grid, t, np.gradient(np.interp(t, t[measured], angle[measured]), t))
 
 
 def _explained(rates: Array, yaw_rate: Array, lag: int, shortest: float) -> float:

@@ -31,9 +31,15 @@ class VirtualLx(VirtualServo):
         everyone = packet.servo_id == BROADCAST
         if not self.connected or not (everyone or packet.servo_id == self.servo_id):
             return None
-        if not expects_reply(packet):
-            self._obey(packet.code, packet.parameters, now)
-        elif not everyone or packet.code == LxCommand.ID_READ:
+        command, parameters = packet.code, packet.parameters
+        if command == LxCommand.MOVE_TIME_WRITE and len(parameters) == 4:
+            ticks = int.from_bytes(parameters[:2], "little")
+            self.command(now, SERVO.angle(min(ticks, SERVO.largest_ticks)))
+        elif command == LxCommand.MOVE_STOP:
+            self.hold(now)
+        elif command == LxCommand.LOAD_WRITE and len(parameters) == 1:
+            self.power(parameters[0] != 0, now)
+        elif expects_reply(packet) and (not everyone or command == LxCommand.ID_READ):
             ticks = max(min(self.ticks(now), 32767), -32768)
             answers = {
                 LxCommand.POS_READ: ticks.to_bytes(2, "little", signed=True),
@@ -44,17 +50,8 @@ class VirtualLx(VirtualServo):
                 LxCommand.VIN_LIMIT_READ: bytes((0x94, 0x11, 0xE0, 0x2E)),  # 4500 to 12000 mV
                 LxCommand.TEMP_MAX_LIMIT_READ: bytes((85,)),
             }
-            return Packet(self.servo_id, packet.code, answers[LxCommand(packet.code)])
+            return Packet(self.servo_id, command, answers[LxCommand(command)])
         return None
-
-    def _obey(self, command: int, parameters: bytes, now: float) -> None:
-        if command == LxCommand.MOVE_TIME_WRITE and len(parameters) == 4:
-            ticks = int.from_bytes(parameters[:2], "little")
-            self.command(now, SERVO.angle(min(ticks, SERVO.largest_ticks)))
-        elif command == LxCommand.MOVE_STOP:
-            self.hold(now)
-        elif command == LxCommand.LOAD_WRITE and len(parameters) == 1:
-            self.power(parameters[0] != 0, now)
 
 
 class RegisterServo(VirtualServo):
