@@ -104,20 +104,20 @@ def _on_bus(
     """URL of a robot whose servos are on a bus of this computer."""
     from rl.deploy.robots import bus_robot
     from sim2real.hardware.buses import bus_class, connection, ids_of
-    from sim2real.hardware.mounting import Wiring
+    from sim2real.hardware.mounting import places
     from sim2real.hardware.recorder import mounted, priority
     from sim2real.hardware.servo_bus import Stopped
 
     robot = _described(options, policy)
-    wiring = Wiring(ids_of(options.ids, bus_class(options.bus)), reverse=options.reverse)
-    wiring.check(robot)
+    ids = ids_of(options.ids, bus_class(options.bus))
+    wired = places(robot, ids, reverse=options.reverse)
     rest = np.clip(0.0, policy.low, policy.high).astype(np.float64)
     try:
         with (
             priority(),
             connection(options.bus, options.port, options.baud) as link,
             bus_robot(
-                link, mounted(link.bus, robot, wiring), rest, options.pose,
+                link, mounted(link.bus, robot, wired), rest, options.pose,
                 hottest_C=options.max_temperature, interrupted=stop, key=key,
             ) as (url, driven),
         ):  # fmt: skip

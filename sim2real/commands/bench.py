@@ -16,7 +16,7 @@ from sim2real.commands.command import numbers
 from sim2real.commands.record import check_new, check_temperature, report, sidecar
 from sim2real.errors import InputError, if_installed
 from sim2real.hardware.buses import Connection, bus_class, connection, ids_of
-from sim2real.hardware.mounting import Wiring
+from sim2real.hardware.mounting import places
 from sim2real.hardware.recorder import RATE_HZ, Run, drive, priority
 from sim2real.hardware.registers import model_named
 from sim2real.hardware.servo_bus import PATIENCE_S, Found, Stopped
@@ -83,20 +83,20 @@ def _recorded(
         loads = [_asked(servo_id, _hangs(options)) for servo_id in ids]
     if text is not None:
         write_whole(options.out / "robot.toml", text)
-    robot, wiring = read_robot(options.robot or options.out / "robot.toml"), Wiring(ids)
-    joints = wiring.check(robot)
+    robot = read_robot(options.robot or options.out / "robot.toml")
+    wired = places(robot, ids)
     rng = np.random.default_rng(options.seed)
     signal = excitation("steps", robot.joints, seconds=options.seconds, rate_hz=RATE_HZ, rng=rng)
     sent = sidecar(
         signal,
-        {"loads": {joint: load for joint, load in zip(joints, loads, strict=True) if load}},
+        {"loads": {one.joint.name: load for one, load in zip(wired, loads, strict=True) if load}},
         name="steps",
         medium="air",
         source="Recorded by 'sim2real bench'.",
         provenance=provenance([robot], options.seed),
     )
     steps, limit = options.out / "steps.csv", options.max_temperature
-    return robot, drive(link, robot, wiring, signal, steps, sent, hottest_C=limit)
+    return robot, drive(link, robot, wired, signal, steps, sent, hottest_C=limit)
 
 
 def robot_text(

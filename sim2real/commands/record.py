@@ -13,7 +13,7 @@ import numpy as np
 from sim2real.commands.command import numbers
 from sim2real.errors import InputError
 from sim2real.hardware.buses import bus_class, connection, ids_of
-from sim2real.hardware.mounting import Wiring
+from sim2real.hardware.mounting import Place, places
 from sim2real.hardware.recorder import RATE_HZ, Run, drive, priority
 from sim2real.hardware.servo_bus import Stopped
 from sim2real.output import check_writable, provenance
@@ -35,7 +35,7 @@ def run(options: argparse.Namespace) -> int:
         print(_described(signal, joints))
         _plot(options.plot, signal, joints)
         return 0
-    wiring = _wiring(options, robot)
+    wired = _places(options, robot)
     sent = sidecar(
         signal,
         _planned(options.signal),
@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
         print(note)
     with priority(), connection(options.bus, options.port, options.baud) as link:
         try:
-            run = drive(link, robot, wiring, signal, out, sent, hottest_C=options.max_temperature)
+            run = drive(link, robot, wired, signal, out, sent, hottest_C=options.max_temperature)
         except (Stopped, OSError) as error:
             print(f"sim2real record: {error}; nothing written", file=sys.stderr)
             return 1
@@ -137,16 +137,14 @@ def _joints(robot: Robot, names: Sequence[str] | None) -> list[Joint]:
     return [joint for joint in robot.joints if names is None or joint.name in names]
 
 
-def _wiring(options: argparse.Namespace, robot: Robot) -> Wiring:
+def _places(options: argparse.Namespace, robot: Robot) -> list[Place]:
     for name in ("port", "ids"):
         if getattr(options, name) is None:
             raise InputError(f"--{name}", "", "nothing", "it, unless with --dry-run")
     check_temperature(options.max_temperature)
     trim = options.trim and numbers("--trim", options.trim, int, "whole numbers, as 4,0,-2")
     ids, joints = ids_of(options.ids, bus_class(options.bus)), _joints(robot, options.joints)
-    wiring = Wiring(ids, [joint.name for joint in joints], trim, options.reverse)
-    wiring.check(robot)
-    return wiring
+    return places(robot, ids, [joint.name for joint in joints], trim, options.reverse)
 
 
 def _planned(signal: str) -> dict[str, Any]:

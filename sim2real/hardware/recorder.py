@@ -23,7 +23,7 @@ from tqdm import tqdm
 from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.hardware.buses import Bus, Changed, Connection
-from sim2real.hardware.mounting import Mounting, Wiring, mount
+from sim2real.hardware.mounting import Mounting, Place
 from sim2real.hardware.servo_bus import Cycle, Stopped, reason
 from sim2real.output import check_writable, is_stream, write_json
 from sim2real.robot import Robot
@@ -260,13 +260,21 @@ def _row(
     ]
 
 
-def mounted(bus: Bus, robot: Robot, wiring: Wiring) -> tuple[Mounting, ...]:
+def mounted(bus: Bus, robot: Robot, servos: Sequence[Place]) -> tuple[Mounting, ...]:
     """The servos in their joints, with the scales that they report.
 
     ``Stopped`` if a servo does not answer, ``InputError`` if its model is unknown, it does not
     control its position or does not fit its joint, or if the rate of the bus is too slow.
     """
-    mountings = mount(robot, [bus.servo(servo_id) for servo_id in wiring.ids], wiring)
+    mountings = tuple(Mounting(**vars(one), servo=bus.servo(one.servo_id)) for one in servos)
+    for mounting in mountings:
+        joint, servo = mounting.joint, mounting.servo
+        ends = [mounting.angle(servo.lowest_ticks), mounting.angle(servo.largest_ticks)]
+        low, high = joint.limits_rad
+        if low < min(ends) or high > max(ends):
+            limits = f"{low:g} to {high:g} rad for {joint.name}"
+            expected = f"limits that the servo reaches, {min(ends):.3f} to {max(ends):.3f} rad"
+            raise InputError(robot.path or robot.name, "joints.limits_rad", limits, expected)
     takes, longest = bus.cycle_s(len(mountings)), BUSY_SHARE / RATE_HZ
     if takes > longest:
         found = f"{bus.baud} baud, {1e3 * takes:.1f} ms to address {len(mountings)} servos"
@@ -277,7 +285,7 @@ def mounted(bus: Bus, robot: Robot, wiring: Wiring) -> tuple[Mounting, ...]:
 def drive(
     connection: Connection,
     robot: Robot,
-    wiring: Wiring,
+    servos: Sequence[Place],
     played: Excitation,
     out: Path,
     sidecar: dict[str, Any],
@@ -291,15 +299,16 @@ def drive(
     added to ``sidecar``, which is written beside ``out``. ``InputError`` and ``Stopped`` before
     anything is changed, as of ``mounted``.
     """
-    bus, mountings = connection.bus, mounted(connection.bus, robot, wiring)
+    bus, mountings = connection.bus, mounted(connection.bus, robot, servos)
+    ids = [mounting.servo_id for mounting in mountings]
     sidecar["bus"] = {
         "name": bus.name,
         "port": connection.port,
         "baud": bus.baud,
-        "ids": [mounting.servo_id for mounting in mountings],
+        "ids": ids,
         "trim_ticks": [mounting.trim_ticks for mounting in mountings],
         "sign": [mounting.sign for mounting in mountings],
-        "servos": [bus.settings(mounting.servo_id) for mounting in mountings],
+        "servos": [bus.settings(servo_id) for servo_id in ids],
     }
     delay = round(bus.sample_delay_s(len(mountings)), 6)
     sidecar["context"] = {**sidecar.get("context", {}), "sample_delay_s": delay}
@@ -307,7 +316,7 @@ def drive(
     with interruption() as interrupted:
         limits: dict[str, Any] = {"hottest_C": hottest_C, "interrupted": interrupted}
         try:
-            changed = connection.note(wiring.ids)
+            changed = connection.note(ids)
             approach(bus, mountings, [float(angle) for angle in played.command[0]], **limits)
             sidecar["started"] = datetime.now(UTC).isoformat(timespec="milliseconds")
             bar = tqdm(total=played.t.size, desc="record", unit="row", disable=None)
@@ -317,7 +326,7 @@ def drive(
         except (Stopped, OSError) as error:
             run.stopped = reason(error)
         finally:
-            left = connection.release(changed, wiring.ids)
+            left = connection.release(changed, ids)
             run.unreleased = [mounting for mounting in mountings if mounting.servo_id in left]
     return run
 

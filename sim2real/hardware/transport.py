@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import secrets
-import select
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,20 +11,8 @@ from queue import Empty, SimpleQueue
 from threading import Thread
 
 from sim2real.errors import InputError, optional
-from sim2real.hardware.datagram import (
-    HALF,
-    LARGEST,
-    NUMBERS,
-    SEALED_NUMBERS,
-    opened,
-    read_answer,
-    request,
-    shared_key,
-)
+from sim2real.hardware.datagram import PORTS, UdpTransport, shared_key
 
-_PORTS = "a serial port, socket://HOST:PORT, rfc2217://HOST:PORT or udp://HOST:PORT"
-PATIENCE = 25
-"""Datagrams without an answer after which a new session is begun, with a key."""
 READ_TIMEOUT_S = 0.05
 WRITE_TIMEOUT_S = 0.5
 
@@ -53,7 +39,7 @@ class SerialTransport:
             )
         except (OSError, ValueError) as error:
             reason = str(error).splitlines()[0]
-            raise InputError("--port", "", f"{url!r} ({reason})", _PORTS) from None
+            raise InputError("--port", "", f"{url!r} ({reason})", PORTS) from None
         self._arrived: SimpleQueue[bytes] = SimpleQueue()
         self._leaving: SimpleQueue[bytes] = SimpleQueue()  # an empty item ends the thread
         self._open, self._failure = True, ""
@@ -107,66 +93,6 @@ class SerialTransport:
             self._port.write(data)
 
 
-class UdpTransport:
-    """A radio at ``udp://HOST:PORT``, which shares ``key``; missing answers are not errors."""
-
-    together = True  # the radio sends requests in order
-
-    def __init__(self, url: str, key: bytes | None = None) -> None:
-        self.device_s: float | None = None  # clock of the radio at the last answered request
-        self._key, self._numbers = key, NUMBERS if key is None else SEALED_NUMBERS
-        self._number, self._unanswered = 0, 0
-        self._own, self._session = secrets.token_bytes(HALF), b""
-        self._waiting = b""
-        self._socket = opened(url, "--port", _PORTS)
-
-    def write(self, data: bytes) -> None:
-        """Send ``data`` in one datagram; with a key once the radio has answered in this session."""
-        self._unanswered += 1
-        if self._key is not None and self._session and self._unanswered > PATIENCE:
-            self._own, self._session = secrets.token_bytes(HALF), b""
-        if self._key is not None and not self._session:
-            self._number, self._waiting = 0, data
-            self._send(request(0, b"", self._own + bytes(HALF), self._key))
-            return
-        self._number = (self._number + 1) % self._numbers
-        self._send(request(self._number, data, self._session, self._key))
-
-    def read(self, deadline: float) -> bytes:
-        """Wait for bytes until ``deadline``; empty if none arrive."""
-        while True:
-            remaining = max(deadline - time.monotonic(), 0.0)
-            if not select.select([self._socket], [], [], remaining)[0]:
-                return b""
-            with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
-                reply = read_answer(self._socket.recv(LARGEST), self._key)
-                if reply is None or reply.number not in (None, self._number):
-                    continue
-                if self._key is not None:
-                    if not self._session and reply.session.startswith(self._own):
-                        # the first answer of a session completes it
-                        self._session, self._unanswered = reply.session, 0
-                        self.write(self._waiting)
-                    if reply.session != self._session:
-                        continue
-                self._unanswered = 0
-                if reply.data:
-                    self.device_s = reply.clock_s
-                    return reply.data
-
-    def close(self) -> None:
-        """Release the radio and close the socket."""
-        if self._number:
-            self._number = (self._number + 1) % self._numbers
-            self._send(request(self._number, b"", self._session, self._key))
-        self._socket.close()
-
-    def _send(self, datagram: bytes) -> None:
-        # refused: no listener at present, for example while the robot restarts
-        with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
-            self._socket.send(datagram)
-
-
 Transport = SerialTransport | UdpTransport
 """A connection to the bus. Calls return by their deadline; ``OSError`` if it is lost."""
 
@@ -180,5 +106,5 @@ def open_transport(url: str, *, baud: int = 115_200) -> Transport:
     if url.startswith("udp://"):
         return UdpTransport(url, shared_key())
     if "://" not in url and os.name == "posix" and not Path(url).exists():
-        raise InputError("--port", "", f"no port {url!r}", _PORTS)
+        raise InputError("--port", "", f"no port {url!r}", PORTS)
     return SerialTransport(url, baud)

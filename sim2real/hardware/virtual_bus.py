@@ -1,21 +1,27 @@
-"""Virtual servos on one wire: their shafts, transmission times, noise and losses."""
+"""Virtual servos on one wire: shafts, transmission times, noise, losses; served to a host."""
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
+import select
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from sim2real.errors import InputError
+from sim2real.hardware.datagram import LARGEST, VirtualRadio, opened
 from sim2real.hardware.frames import FrameDecoder, Instruction, Packet, Protocol
 
 QUIET_S = 0.005
 """Silence after which an incomplete packet is discarded."""
 LONGEST_STEP_S = 0.0005
+TICK_S = 0.02  # period of the simulation without requests
 
 
 @dataclass(frozen=True)
@@ -198,3 +204,71 @@ class VirtualBus:
         if not self._fast:
             self._free += 10 * count / self.baud + delay_s
             time.sleep(max(self._free - time.monotonic(), 0.0))
+
+
+def serve_terminal(
+    bus: VirtualBus, announce: Callable[[str], object], stop: Callable[[], bool]
+) -> None:
+    """Serve a pseudo-terminal until ``stop``; ``announce`` is called with its name."""
+    try:
+        import tty
+
+        host, device = os.openpty()
+    except (ImportError, AttributeError, OSError):
+        expected = "a system that has them, or --udp"
+        raise InputError("virtual-servo", "", "no pseudo-terminals", expected) from None
+    try:
+        tty.setraw(device)
+        os.set_blocking(host, False)
+        announce(os.ttyname(device))
+        while not stop():
+            if select.select([host], [], [], TICK_S)[0]:
+                data = os.read(host, LARGEST)
+                for reply in bus.receive(data) if _rate(device) in (None, bus.baud) else ():
+                    with contextlib.suppress(BlockingIOError):  # no reader: the reply is lost
+                        os.write(host, reply)
+            bus.advance()
+    finally:
+        os.close(host)
+        os.close(device)
+
+
+def _rate(device: int) -> int | None:
+    """Rate that the host has set; None if it has set none, or an unusual one."""
+    import termios
+
+    speed = termios.tcgetattr(device)[4]
+    if speed == termios.B38400:  # of a new pseudo-terminal
+        return None
+    names = {getattr(termios, name): name for name in dir(termios) if name[:1] == "B"}
+    name = names.get(speed, "")[1:]
+    return int(name) if name.isdigit() else None
+
+
+def serve_udp(
+    bus: VirtualBus,
+    address: str,
+    announce: Callable[[str], object],
+    stop: Callable[[], bool],
+    *,
+    rng: np.random.Generator,
+    loss: float = 0.0,
+    key: bytes | None = None,
+) -> None:
+    """Serve a radio at HOST:PORT until ``stop``; it loses this share of datagrams each way."""
+    radio, expected = VirtualRadio(key), "HOST:PORT of this computer, as 127.0.0.1:0"
+    with opened(f"udp://{address}", "--udp", expected, bind=True) as end:
+        host, port = end.getsockname()
+        announce(f"udp://{host}:{port}")
+        while not stop():
+            if select.select([end], [], [], TICK_S)[0]:
+                with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
+                    datagram, sender = end.recvfrom(LARGEST)
+                    clock = time.monotonic()
+                    heard = rng.random() >= loss
+                    packets = radio.receive(datagram, sender, clock) if heard else None
+                    if packets is not None:
+                        reply = radio.answer(clock, b"".join(bus.receive(packets)))
+                        if rng.random() >= loss:
+                            end.sendto(reply, sender)
+            bus.advance()

@@ -11,8 +11,7 @@ from sim2real.cli import main
 from sim2real.hardware.buses import BUSES
 from sim2real.hardware.recorder import priority
 from sim2real.hardware.registers import model_named
-from sim2real.hardware.virtual_bus import Law, VirtualBus
-from sim2real.hardware.virtual_link import serve_terminal, serve_udp
+from sim2real.hardware.virtual_bus import Law, VirtualBus, serve_terminal, serve_udp
 from sim2real.hardware.virtual_servos import VirtualDynamixel, VirtualFeetech, VirtualLx
 
 LAW = Law()
