@@ -19,8 +19,8 @@ from sim2real.commands.streams import Lenient, occupy_standard_descriptors, run_
 from sim2real.errors import InputError, missing_library
 from sim2real.output import Results, is_standard_output, results
 
-_SERVOS, _HARDWARE = "sim2real.commands.options", "sim2real.commands.hardware_options"
-_WATER, _LEARNING = "sim.commands.options", "rl.commands.options"
+_SERVOS, _WATER = "sim2real.commands.options", "sim.commands.options"
+_LEARNING = "rl.commands.options"
 
 COMMANDS = {
     "example": (_SERVOS, "copy example recordings, with their robots, into a folder"),
@@ -49,13 +49,13 @@ COMMANDS = {
     "robot": (_SERVOS, "write a robot.toml from a URDF, and list missing fields"),
     "export-servo": (_SERVOS, "export identified actuators to another simulator"),
     "export-ranges": (_SERVOS, "export randomization ranges to another simulator"),
-    "bench": (_HARDWARE, "scan, record and identify servos on a bench, and write a page"),
+    "bench": (_SERVOS, "scan, record and identify servos on a bench, and write a page"),
     "servos": (_SERVOS, "list identified servos, write the model of one, or prepare a new entry"),
-    "record": (_HARDWARE, "play a signal on servos and record their positions"),
-    "scan": (_HARDWARE, "list the servos on a bus with position, voltage, temperature and errors"),
-    "virtual-servo": (_HARDWARE, "simulate servos on a bus, without hardware"),
-    "track": (_HARDWARE, "track the pose of the body in an overhead video"),
-    "calibrate-camera": (_HARDWARE, "calibrate the lens and the pose of the overhead camera"),
+    "record": (_SERVOS, "play a signal on servos and record their positions"),
+    "scan": (_SERVOS, "list the servos on a bus with position, voltage, temperature and errors"),
+    "virtual-servo": (_SERVOS, "simulate servos on a bus, without hardware"),
+    "track": (_SERVOS, "track the pose of the body in an overhead video"),
+    "calibrate-camera": (_SERVOS, "calibrate the lens and the pose of the overhead camera"),
     "demo": (_LEARNING, "run the whole chain on the shipped data and write an HTML report"),
     "completion": (_SERVOS, "print a shell completion script"),
 }
