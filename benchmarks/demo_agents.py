@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import ROOT, command_line
-from rl.commands.demo_pool import PRETRAINED, QUICK, SEEDS, agents_in
+from rl.commands.demo import PRETRAINED, QUICK
 from rl.deploy.policy import npz
 from rl.experiments.ablation import LISTING, PAPER, policy_in
 from rl.sac.plan import Plan
@@ -27,6 +27,9 @@ from sim2real.output import provenance, sha256_of, write_json, write_whole
 from sim2real.structured import read_json
 
 POOL = ROOT / "datasets" / "pool"
+FIRST = sorted((POOL / "agents").glob("*.zip"))
+"""The agents that arms start from, trained with no technique."""
+SEEDS = 5
 
 
 def main() -> None:
@@ -35,7 +38,7 @@ def main() -> None:
     plan = replace(QUICK, seeds=tuple(range(SEEDS)))
     agents = trained(options.run / "train", plan)
     files = {"model.json": POOL / "calibrated.json", "ranges.json": POOL / "ranges.json"}
-    made = provenance([POOL / "robot.toml", *files.values(), *agents_in(POOL)], None)
+    made = provenance([POOL / "robot.toml", *files.values(), *FIRST], None)
     listing = write_pretrained(options.out, agents, plan, files, made)
     print(f"{listing}: {len(agents)} agents")
 
@@ -67,7 +70,7 @@ def trained(folder: Path, plan: Plan) -> list[Path]:
     """
     run = folder / "run.json"
     if read_json(run)["plan"] != plan.content():
-        raise InputError(run, "plan", "another plan", "that of today's sim2real demo --train")
+        raise InputError(run, "plan", "another plan", "that of the demo")
     agents = [folder / f"{arm}-{seed}" for arm in PAPER for seed in plan.seeds]
     for agent in agents:
         if not (agent / "policy.zip").exists():

@@ -13,16 +13,14 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
-from functools import partial
 
-from sim2real.commands.command import Command
 from sim2real.commands.files import check_files
 from sim2real.commands.streams import Lenient, occupy_standard_descriptors, run_as_json
 from sim2real.errors import InputError, missing_library
 from sim2real.output import Results, is_standard_output, results
 
-_SERVOS, _HARDWARE = "sim2real.commands.options", "sim2real.commands.hardware_options"
-_WATER, _LEARNING = "sim.commands.options", "rl.commands.options"
+_SERVOS, _WATER = "sim2real.commands.options", "sim.commands.options"
+_LEARNING = "rl.commands.options"
 
 COMMANDS = {
     "example": (_SERVOS, "copy example recordings, with their robots, into a folder"),
@@ -51,13 +49,13 @@ COMMANDS = {
     "robot": (_SERVOS, "write a robot.toml from a URDF, and list missing fields"),
     "export-servo": (_SERVOS, "export identified actuators to another simulator"),
     "export-ranges": (_SERVOS, "export randomization ranges to another simulator"),
-    "bench": (_HARDWARE, "scan, record and identify servos on a bench, and write a page"),
+    "bench": (_SERVOS, "scan, record and identify servos on a bench, and write a page"),
     "servos": (_SERVOS, "list identified servos, write the model of one, or prepare a new entry"),
-    "record": (_HARDWARE, "play a signal on servos and record their positions"),
-    "scan": (_HARDWARE, "list the servos on a bus with position, voltage, temperature and errors"),
-    "virtual-servo": (_HARDWARE, "simulate servos on a bus, without hardware"),
-    "track": (_HARDWARE, "track the pose of the body in an overhead video"),
-    "calibrate-camera": (_HARDWARE, "calibrate the lens and the pose of the overhead camera"),
+    "record": (_SERVOS, "play a signal on servos and record their positions"),
+    "scan": (_SERVOS, "list the servos on a bus with position, voltage, temperature and errors"),
+    "virtual-servo": (_SERVOS, "simulate servos on a bus, without hardware"),
+    "track": (_SERVOS, "track the pose of the body in an overhead video"),
+    "calibrate-camera": (_SERVOS, "calibrate the lens and the pose of the overhead camera"),
     "demo": (_LEARNING, "run the whole chain on the shipped data and write an HTML report"),
     "completion": (_SERVOS, "print a shell completion script"),
 }
@@ -133,7 +131,8 @@ def _run(options: argparse.Namespace) -> int:
     module, _, function = options.module.partition(":")
     run = getattr(importlib.import_module(module), function or "run")
     with warnings.catch_warnings(), results() as files, contextlib.ExitStack() as stack:
-        warnings.showwarning = partial(_show_warning, options.command)
+        said = f"sim2real {options.command}:"
+        warnings.showwarning = lambda text, *_, **__: print(said, "warning:", text, file=sys.stderr)
         check_files(options, files)
         options.files = files
         if is_standard_output(getattr(options, "out", None) or ""):
@@ -142,12 +141,8 @@ def _run(options: argparse.Namespace) -> int:
             status: int = run_as_json(run, options) if options.json else run(options)
         finally:
             for sentence in files.kept:
-                print(f"sim2real {options.command}: {sentence}", file=sys.stderr)
+                print(said, sentence, file=sys.stderr)
     return 1 if files.kept else status
-
-
-def _show_warning(command: str, message: Warning | str, *_: object, **__: object) -> None:
-    print(f"sim2real {command}: warning: {message}", file=sys.stderr)
 
 
 def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
@@ -162,13 +157,13 @@ def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
     commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, (home, summary) in COMMANDS.items():
         included = only is None or name in only
-        entry = find(name, home) if included else None
+        entry = importlib.import_module(home).COMMANDS[name] if included else None
         command = commands.add_parser(
             name,
             parents=[_COMMON],
             help=summary,
             description=summary[0].upper() + summary[1:] + ".",
-            epilog=f"example:\n  {entry.example}" if entry else None,
+            epilog=f"example:\n  sim2real {name} {entry.example}" if entry else None,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         if entry:
@@ -188,12 +183,6 @@ class _Version(argparse.Action):
 
         print(f"{parser.prog} {__version__}")
         parser.exit()
-
-
-def find(name: str, home: str) -> Command:
-    """The command of that name in a file of options."""
-    listed: tuple[Command, ...] = importlib.import_module(home).COMMANDS
-    return next(command for command in listed if command.name == name)
 
 
 if __name__ == "__main__":

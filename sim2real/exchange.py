@@ -91,13 +91,13 @@ def export(
         to: Simulator or format: mujoco, mjlab, isaaclab, isaaclab-bam, newton, usd, genesis, urdf,
             casadi or json; of ranges isaaclab, mjlab, newton or mujoco-playground.
         out: File to write; the result has its text.
-        robot: Servos only. The robot, for joint limits and data sheets (robot.toml).
-        recordings: Servos only. Recordings to refit to if the simulator lacks an effect of the
-            model, and to compare with; the last is held out (default: the model's own predictions).
-        which: Servos only. Export the effects of the model, a plain servo without them, or
-            whichever of both is nearer to the recordings.
-        into: MuJoCo only. A robot's MJCF file; the result is this file with the servos in it, and
-            compares its steps with the recordings.
+        robot: The robot of servos, for joint limits and data sheets (robot.toml).
+        recordings: Recordings to refit servos to if the simulator lacks an effect of the model, and
+            to compare with; the last is held out (default: the model's own predictions).
+        which: Export the effects of the servos, plain servos without them, or whichever of both is
+            nearer to the recordings.
+        into: MJCF of a robot (mujoco); the result is this file with the servos in it, and compares
+            its steps with the recordings.
         joint: Hinges of that file that get a servo: the model's joint of that name, or its only
             one.
 

@@ -22,6 +22,8 @@ from sim2real.output import beside, write_json, write_whole
 from sim2real.structured import Fields, check_label, read_json
 
 SCHEMA = "sim2real.recording/1"
+POSE = ("body.x_m", "body.y_m", "body.yaw_rad")
+"""Columns of the pose of a swimming robot."""
 GRAVITY_M_S2 = 9.80665
 FIELDS = ("schema", "kind", "joints", "loads", "medium", "source")
 """Known fields of the JSON file; other fields are preserved as ``metadata``."""

@@ -20,7 +20,6 @@ REACHES_UP = {
 LIGHT = (
     *REACHES_UP,
     "sim2real/commands/options.py",
-    "sim2real/commands/hardware_options.py",
     "sim2real/exchange.py",
     "sim2real/verbs.py",
     "sim/commands/options.py",

@@ -20,7 +20,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from sim2real.commands.command import add_executor, where_jobs_run
+from sim2real.commands.command import EXECUTOR, add_options, where_jobs_run
 from sim2real.diagnose.diagnose import Case, diagnose_all
 from sim2real.diagnose.result import Diagnosis, write_diagnosis
 from sim2real.executor import Job, run_jobs
@@ -39,7 +39,7 @@ def main() -> int:
     parser.add_argument("set", type=Path, metavar="SET")
     parser.add_argument("verdicts", type=Path, metavar="VERDICTS")
     parser.add_argument("--processes", type=int, metavar="N", help="--executor local --jobs N")
-    add_executor(parser, otherwise="all cases together")
+    add_options(parser, EXECUTOR.format("all cases together"))
     parser.add_argument("--seconds", type=float, default=float("inf"), help="then stop starting")
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--last", type=int)

@@ -34,7 +34,7 @@ from sim.inference.law_error import FILE, IN_WATER, LawError, learned, read_law_
 from sim.inference.searched import raw, searched
 from sim.inference.swim_problem import SwimPrior
 from sim.inference.swims import swim_of
-from sim2real.commands.command import add_executor, where_jobs_run
+from sim2real.commands.command import EXECUTOR, add_options, where_jobs_run
 from sim2real.diagnose.result import write_diagnosis
 from sim2real.executor import Job, JobOutcome, run_jobs
 from sim2real.executor.job import NOT_STARTED
@@ -128,7 +128,8 @@ def main() -> int:
     parser.add_argument("set", type=Path)
     parser.add_argument("verdicts", type=Path)
     parser.add_argument("--processes", type=int, default=2, help="--executor local --jobs N")
-    add_executor(parser, default="local")
+    add_options(parser, EXECUTOR.format("local"))
+    parser.set_defaults(executor="local")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="then start no more")
     parser.add_argument("--water", type=Path, help="simulations in the fluid: sealed_water.py")
     parser.add_argument("--again", type=Path, help="those with the effects that were found")

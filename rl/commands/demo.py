@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import argparse
+import io
 import multiprocessing
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
-from rl.commands import demo_pool
-from rl.experiments.ablation import LISTING
+from rl.commands.ablate import make_testbeds
+from rl.experiments.ablation import LISTING, PAPER, ablate, arm_of, read_pretrained
 from rl.experiments.ablation_report import (
     default_values,
     footer_of,
@@ -29,12 +30,15 @@ from rl.experiments.episodes import run_episodes
 from rl.experiments.film import Film
 from rl.experiments.named import controller_of
 from rl.make import make_world
+from rl.sac.plan import plan_of
 from rl.sac.train import hide_progress
 from rl.task import TASKS, shortened
 from rl.world import Draws
 from sim.commands.diagnose import write_all
-from sim.inference.calibration import calibration_section
-from sim.inference.swims import by_followed_twin
+from sim.inference.calibration import Calibration, calibrate, calibration_section
+from sim.inference.coordinates import twin_parameters
+from sim.inference.diagnose_swims import diagnose_swims
+from sim.inference.swims import by_followed_twin, by_twin, swim_of
 from sim.view.swim_page import swims_section
 from sim.view.video import Video
 from sim2real.check import Check, check
@@ -43,9 +47,10 @@ from sim2real.diagnose.diagnose import diagnose
 from sim2real.diagnose.result import Diagnosis, percent, write_diagnosis
 from sim2real.errors import InputError
 from sim2real.identification.identify import identify
-from sim2real.model import Model, write_model
+from sim2real.model import Model, read_model, write_model
 from sim2real.output import check_writable, provenance
 from sim2real.ranges.entry import write_ranges
+from sim2real.ranges.gather import Gathered, gather
 from sim2real.recording import Recording, read_recording
 from sim2real.report.diagnosis import diagnosis_section
 from sim2real.report.identification import identification_section
@@ -68,48 +73,29 @@ _DIAGNOSED = ("chirp", "steps")
 """Recordings of different kinds: sufficient for a diagnosis, and quick."""
 _SHOWN = "square"
 """Recording that the page shows with the held-out one: the test signal of the paper."""
+SWIM = "p1"
+"""The swim of the pool that is diagnosed, calibrated and gives the ranges."""
+QUICK = plan_of({"recipe": "brief"}, fidelity="twin", threads=2)
+"""Plan of the training of each arm, which continued from agents that all arms share."""
+REPEATS = 12
+PRETRAINED = Path("agents") / "ablation"
+"""Folder of the pretrained agents of the ablation, relative to that of the pool."""
+
+
+class Pool(NamedTuple):
+    """What is found in the pool."""
+
+    diagnosis: Diagnosis  # what the model of the body leaves out of the swim
+    calibration: Calibration  # the body in the twin, fitted to the swim, with the effects found
+    gathered: Gathered  # randomization ranges for the calibrated model
+    results: dict[str, Any]  # of the ablation of the pretrained agents
+    said: str  # printed lines
 
 
 def run(options: argparse.Namespace) -> int:
     """Run bench, pool and ablation; write ``index.html`` and the result files."""
     page = check_writable(options.out / "index.html")
     torch.set_num_threads(1)
-    out = options.out / ("trained" if options.train else "ablation")
-    robot, recordings, checks = _recorded(options)
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, spawn, hide_progress) as second_process:
-        work = (options.pool, out, options.seed, not options.train)
-        pool = second_process.submit(demo_pool.stages, *work)
-        bench, model, servos = _bench(options, robot, recordings, checks)
-        found = pool.result()
-    note = _provenance(options, model)
-    values = default_values(found.calibration.model, found.calibration.robot)
-    swam, results, body = _pool(options, out, found, note, values)
-    table = sections(results, demo_pool.QUICK, values)
-    ablation = Section("A quick ablation", table[0].lead, [
-        _note(options), *(block for one in table[:-1] for block in one.blocks),
-    ])  # fmt: skip
-    film = _swim(results, options, out, body.model)
-    with _stage("report", str(page)):
-        write_page(
-            page,
-            f"{len(model.joints)} servos, from recordings to training",
-            _AIM.format(len(model.joints)),
-            [
-                _summary(recordings[0].source, model, servos, body, ablation.lead, film),
-                *bench,
-                *swam,
-                ablation,
-            ],
-            footer_of(results, note),
-        )
-    print(f"\n{model}")
-    print(f"\nreport: {page}")
-    return 0
-
-
-def _recorded(options: argparse.Namespace) -> tuple[Robot, list[Recording], list[Check]]:
-    """The robot on the bench, its recordings and their checks."""
     paths = sorted(options.data.glob("*.csv"), reverse=True)  # the chirp last: it is held out
     if not paths:
         raise InputError(options.data, "", "no recordings", "NAME.csv files, each with NAME.json")
@@ -117,7 +103,45 @@ def _recorded(options: argparse.Namespace) -> tuple[Robot, list[Recording], list
     with _stage("read", f"{len(paths)} recordings of {options.data}"):
         recordings = [read_recording(path) for path in paths]
     with _stage("check", "clocks, noise, motion"):
-        return robot, recordings, [check(recording, robot) for recording in recordings]
+        checks = [check(recording, robot) for recording in recordings]
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, spawn, hide_progress) as second_process:
+        pool = second_process.submit(in_pool, options.pool, options.out, options.seed)
+        bench, model, servos = _bench(options, robot, recordings, checks)
+        found = pool.result()
+    print(found.said, end="", flush=True)
+    names = ("robot.toml", "model.json", f"{SWIM}.csv", "reality.json", PRETRAINED / LISTING)
+    files = [options.data / "robot.toml", *(options.pool / name for name in names)]
+    more = provenance(files, None)["inputs"]
+    note = {**model.provenance, "inputs": {**model.provenance["inputs"], **more}}
+    results, calibration, fish = found.results, found.calibration, found.calibration.robot
+    values = default_values(calibration.model, fish)
+    write_report(results, QUICK, options.out / "ablation", note, values)
+    print(markdown(results))
+    swims = swims_section(found.diagnosis, calibration.swims, by_followed_twin(fish), fish)
+    table = sections(results, QUICK, values)
+    blocks = [_HOW_TRAINED, *(block for one in table[:-1] for block in one.blocks)]
+    film = _swim(results, options, fish, calibration.model)
+    body = replace(found.diagnosis, model=calibration.model)
+    lead = _AIM.format(len(model.joints))
+    with _stage("report", str(page)):
+        write_page(
+            page,
+            f"{len(model.joints)} servos, from recordings to training",
+            lead,
+            [
+                _summary(recordings[0].source, model, servos, body, table[0].lead, film),
+                *bench,
+                replace(swims, title="Diagnosis of the swim"),
+                calibration_section(calibration),
+                ranges_section(found.gathered),
+                Section("A quick ablation", table[0].lead, blocks),
+            ],
+            footer_of(results, note),
+        )
+    print(f"\n{model}")
+    print(f"\nreport: {page}")
+    return 0
 
 
 def _bench(
@@ -140,88 +164,60 @@ def _bench(
     return [*made, diagnosis_section(diagnosis)], model, diagnosis
 
 
-def _provenance(options: argparse.Namespace, model: Model) -> dict[str, Any]:
-    """That of the model of the servos, with the files of the pool."""
-    pool = options.pool
-    files = [
-        pool / x for x in ("robot.toml", "model.json", f"{demo_pool.SWIM}.csv", "reality.json")
-    ]
-    agents = demo_pool.agents_in(pool) if options.train else [pool / demo_pool.PRETRAINED / LISTING]
-    more = provenance([options.data / "robot.toml", *files, *agents], None)["inputs"]
-    return {**model.provenance, "inputs": {**model.provenance["inputs"], **more}}
+def in_pool(folder: Path, out: Path, seed: int) -> Pool:
+    """Diagnose, calibrate, derive ranges and test the agents, in a second process.
+
+    The swim is diagnosed before the body is calibrated: without an effect that the robot has, the
+    other parameters take values that fit its recording and no other motion.
+    """
+    robot, servos = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
+    recording = read_recording(folder / f"{SWIM}.csv")
+    swim = swim_of(recording, robot)
+    with redirect_stdout(io.StringIO()) as said:
+        with _stage("diagnose", f"physics missing from the body model, on {SWIM}"):
+            missing = diagnose_swims([swim], servos, robot, by_followed_twin(robot))
+        with _stage("calibrate", "the body in the twin, with the effects found"):
+            free = twin_parameters(missing.model, robot)
+            fitted = calibrate([swim], missing.model, free, by_twin(robot))
+        with _stage("ranges", "randomization ranges"):
+            gathered = gather([recording], robot, fitted.model)
+        with _stage("ablate", "4 arms, trained beforehand, in the twin"):
+            agents, seeds = read_pretrained(folder / PRETRAINED, PAPER)
+            arms = [arm_of(name, fitted.model, robot, gathered.ranges) for name in PAPER]
+            plan, reality = replace(QUICK, seeds=seeds), read_model(folder / "reality.json")
+            testbeds = make_testbeds(robot, arms, plan, gathered.ranges, reality)
+            how = {"seed": seed, "repeats": REPEATS}
+            results = ablate(out / "ablation", robot, PAPER, agents, plan, testbeds, **how)
+    write_model(missing.model, out / "swim.enriched.json")
+    write_diagnosis(missing, out / "swim.json", "swim.enriched.json")
+    write_model(fitted.model, out / "calibrated.json")
+    write_ranges(gathered.ranges, out / "ranges.json")
+    calibration = Calibration(fitted.model, servos, robot, (swim,), fitted)
+    return Pool(missing, calibration, gathered, results, said.getvalue())
 
 
-def _pool(
-    options: argparse.Namespace,
-    out: Path,
-    found: demo_pool.Pool,
-    note: dict[str, Any],
-    values: Table,
-) -> tuple[list[Section], dict[str, Any], Diagnosis]:
-    """A robot in a pool: its sections, the result of the ablation, the diagnosis of the swim."""
-    missing, calibration, ranges = found.diagnosis, found.calibration, found.gathered.ranges
-    plan, results = demo_pool.QUICK, found.results
-    titles = {
-        "diagnose": f"physics missing from the body model, on {demo_pool.SWIM}",
-        "calibrate": "the body in the twin, with the effects found",
-        "ranges": "randomization ranges",
-        **({"ablate": "4 arms, trained beforehand, in the twin"} if results else {}),
-    }
-    for (name, title), seconds in zip(titles.items(), found.seconds, strict=False):
-        print(f"{name:10}{title} ({seconds:.1f} s)", flush=True)
-    write_model(missing.model, options.out / "swim.enriched.json")
-    write_diagnosis(missing, options.out / "swim.json", "swim.enriched.json")
-    write_model(calibration.model, options.out / "calibrated.json")
-    write_ranges(ranges, options.out / "ranges.json")
-    if not results:
-        seeds = demo_pool.SEEDS
-        with _stage(
-            "ablate", f"{plan.steps} steps of each of {seeds} seeds of 4 arms, in the twin"
-        ):
-            work = options.pool, out, options.seed, calibration.model, ranges
-            results = demo_pool.ablated(*work, pretrained=False)
-    write_report(results, plan, out, note, values)
-    print(markdown(results))
-    robot = calibration.robot
-    swims = swims_section(missing, calibration.swims, by_followed_twin(robot), robot)
-    made = [
-        replace(swims, title="Diagnosis of the swim"),
-        calibration_section(calibration),
-        ranges_section(found.gathered),
-    ]
-    return made, results, replace(missing, model=calibration.model)
+_HOW_TRAINED = Note(
+    "info",
+    "The agents were trained beforehand, by “sim2real ablate --quick”, and ship with the data; "
+    "this run evaluates them in simulation, with its own calibration, and in reality. "
+    "The agents of a seed start from one shipped with the data, trained with no technique "
+    "(servos and density of FishGym, no randomization), and train "
+    f"for {QUICK.steps} steps in the simulator of their arm: pairs differ only by "
+    "their arms. A difference whose interval excludes zero is significant. The reality is here "
+    "the twin with other parameters, friction, play and a skin, as a surrogate with its own "
+    "fluid is too slow for two cores. Trained from scratch and evaluated in the fluid, the "
+    "servo calibration had by far the largest effect (reports/ablation).",
+)
 
 
-def _note(options: argparse.Namespace) -> Note:
-    """How the agents of the ablation were trained."""
-    when = (
-        "in this run"
-        if options.train
-        else "beforehand, by “sim2real ablate --quick”, and ship with the data; this run evaluates "
-        "them in simulation, with its own calibration, and in reality"
-    )
-    return Note(
-        "info",
-        f"The agents were trained {when}. "
-        "The agents of a seed start from one shipped with the data, trained with no technique "
-        "(servos and density of FishGym, no randomization), and train "
-        f"for {demo_pool.QUICK.steps} steps in the simulator of their arm: pairs differ only by "
-        "their arms. A difference whose interval excludes zero is significant. The reality is here "
-        "the twin with other parameters, friction, play and a skin, as a surrogate with its own "
-        "fluid is too slow for two cores. Trained from scratch and evaluated in the fluid, the "
-        "servo calibration had by far the largest effect (reports/ablation).",
-    )
-
-
-def _swim(results: dict[str, Any], options: argparse.Namespace, out: Path, model: Model) -> Section:
+def _swim(
+    results: dict[str, Any], options: argparse.Namespace, robot: Robot, model: Model
+) -> Section:
     """Film of the agent with all techniques that did best in simulation, in the fluid."""
     candidates = [agent for agent in results["agents"] if agent["arm"] == "full"]
     best = max(candidates, key=lambda agent: fmean(agent["simulation"]["return"]))["folder"]
-    if options.train:
-        (policy,) = (out / "train").glob(f"*/{best}/policy.zip")
-    else:
-        policy = options.pool / demo_pool.PRETRAINED / best / "policy.npz"
-    film, robot = check_writable(options.out / "swim.gif"), demo_pool.robot_in(options.pool)
+    policy = options.pool / PRETRAINED / best / "policy.npz"
+    film = check_writable(options.out / "swim.gif")
     with _stage("swim", "the policy with all techniques, in the fluid"):
         world = make_world(
             robot, shortened(TASKS["turn"], LONGEST), Draws((model,)), n_envs=1, fidelity="fluid",

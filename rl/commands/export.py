@@ -14,17 +14,13 @@ ENDINGS = {".npz": "npz", ".h": "c", ".onnx": "onnx"}
 def run(options: argparse.Namespace) -> int:
     """Write a policy in each format asked for."""
     out: Path = check_writable(options.out)
-    formats = tuple(dict.fromkeys(options.format or [_by_ending(out)]))
+    if not options.format and out.suffix not in ENDINGS:
+        ending = f"the ending {out.suffix!r}" if out.suffix else "no ending"
+        raise InputError(out, "--out", ending, f"{', '.join(ENDINGS)}, or --format")
+    formats = tuple(dict.fromkeys(options.format or [ENDINGS[out.suffix]]))
     from rl.deploy.export import read_zip, write_policy
 
     policy = read_zip(options.policy, seed=options.seed, price=options.price)
     for file in write_policy(policy, out, formats):
         print(f"{file}: {len(policy.observation)} in, {len(policy.joints)} angles in rad out")
     return 0
-
-
-def _by_ending(out: Path) -> str:
-    if out.suffix not in ENDINGS:
-        ending = f"the ending {out.suffix!r}" if out.suffix else "no ending"
-        raise InputError(out, "--out", ending, f"{', '.join(ENDINGS)}, or --format")
-    return ENDINGS[out.suffix]

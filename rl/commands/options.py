@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
-
 from rl import verbs
-from sim2real.commands.command import Command, add_executor, add_options, add_verb
+from sim2real.commands.command import EXECUTOR, Command
 
 _TASKS = "point|near|mixed|chain|turn|zones|pentagram"
 _WATER = """
@@ -91,7 +89,7 @@ results learning-curves|stages|calibration|turn|pentagram+: figures of the paper
     or a Python file with a function make
 --reality-cell-m X: cell of the fluid in the reality, m
 --episodes N: swims of each policy (default: 10 at each stage, 3 otherwise)
-""" + _WATER.replace("robot FILE!", "robot FILE = datasets/pool/robot.toml").replace(
+""" + _WATER.strip().replace("robot FILE!", "robot FILE = datasets/pool/robot.toml").replace(
     "model FILE!", "model FILE = datasets/pool/calibrated.json"
 ).replace("ranges FILE:", "ranges FILE = datasets/pool/ranges.json:")
 _FORECAST = """
@@ -128,42 +126,44 @@ _DEMO = """
 --data FOLDER = datasets/servo_steps: folder of recordings of the servos
 --pool FOLDER = datasets/pool: folder of recordings of the pool
 --out FOLDER = reports/demo: folder for the report
---train: train the ablation's agents in this run, minutes on two cores (default: evaluate those
-    shipped with the data)
 """
 _FISH = "--robot fish.toml --model model.json"
-_COMMANDS = {
-    "demo": (_DEMO, "--out reports/demo"),
-    "train": (_WATER + _TRAIN + _PLAN, f"--quick {_FISH} --out runs/quick"),
-    "evaluate": (_WATER + _EVALUATE, f"policy.zip pnl --task turn {_FISH}"),
-    "reproduce": (_REPRODUCE, "calibration turn --out reproduced"),
-    "ablate": (
-        _WATER + _ABLATE + _PLAN,
+_JOBS = EXECUTOR.format("all runs in one batch")
+COMMANDS = {
+    "demo": Command("rl.commands.demo", [_DEMO], "--out reports/demo"),
+    "train": Command(
+        "rl.commands.train",
+        [_WATER, _TRAIN, _PLAN, _JOBS],
+        f"--quick {_FISH} --out runs/quick",
+        resumes=True,
+    ),
+    "evaluate": Command(
+        "rl.commands.evaluate", [_WATER, _EVALUATE], f"policy.zip pnl --task turn {_FISH}"
+    ),
+    "reproduce": Command(
+        "rl.commands.reproduce", [_REPRODUCE], "calibration turn --out reproduced"
+    ),
+    "ablate": Command(
+        "rl.commands.ablate",
+        [_WATER, _ABLATE, _PLAN, _JOBS],
         f"{_FISH} --ranges ranges.json --reality reality.py --out runs/ablation",
+        resumes=True,
+        # "all" is what earlier versions called the arm "full"
+        types={"arms": lambda arm: arm.replace("all", "full")},
     ),
-    "forecast": (
-        _FORECAST,
+    "forecast": Command(
+        "rl.commands.forecast",
+        [verbs.forecast, _FORECAST],
         f"policy.zip {_FISH} --ranges ranges.json --limit 'time_s<=6@0.95' --out forecast.json",
+        resumes=True,
+        leave_out=("kept",),
     ),
-    "export": (_EXPORT, "policy.zip --out policy.npz --format npz c"),
-    "swim": (_SWIM, "policy.npz --target 1.2,-0.4 --port udp://192.168.4.1:4210 --out swim.csv"),
+    "export": Command(
+        "rl.commands.export", [_EXPORT], "policy.zip --out policy.npz --format npz c"
+    ),
+    "swim": Command(
+        "rl.commands.swim",
+        [_SWIM],
+        "policy.npz --target 1.2,-0.4 --port udp://192.168.4.1:4210 --out swim.csv",
+    ),
 }
-"""Options of each command, and those of its example."""
-
-
-def _command(name: str, options: str, example: str) -> Command:
-    def add(parser: argparse.ArgumentParser) -> None:
-        if name == "forecast":
-            add_verb(parser, verbs.forecast, positional=("policies",), leave_out=("kept",))
-        add_options(parser, options.replace("\n\n", "\n"))
-        for action in parser._actions:
-            if action.dest == "arms":  # "all" is what earlier versions called the arm "full"
-                action.type = lambda arm: arm.replace("all", "full")
-        if name in ("train", "ablate"):
-            add_executor(parser, otherwise="all runs in one batch")
-
-    resumes = name in ("train", "ablate", "forecast")
-    return Command(name, f"rl.commands.{name}", add, f"sim2real {name} {example}", resumes=resumes)
-
-
-COMMANDS = tuple(_command(name, *described) for name, described in _COMMANDS.items())

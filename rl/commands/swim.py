@@ -18,22 +18,21 @@ from sim2real.arrays import Array
 from sim2real.commands.command import numbers
 from sim2real.errors import InputError
 from sim2real.hardware.datagram import shared_key
-from sim2real.hardware.session import interruption
+from sim2real.hardware.recorder import interruption
 from sim2real.output import check_writable, provenance
-from sim2real.recording import Recording, write_recording
+from sim2real.recording import POSE, Recording, write_recording
 from sim2real.robot import Robot, read_robot
 
-LONGEST_S = 3600.0
 FEWEST_ROWS = 2
-_PLACE = "X,Y in m, as 1.2,-0.4"
 _BAR = "{desc}: {percentage:3.0f}%|{bar}| {n:.1f} of {total:.0f} s"
 
 
 def run(options: argparse.Namespace) -> int:
     """Swim and write a pool recording; 1 if the swim was stopped early, else 0."""
-    target = np.array(numbers("--target", options.target, float, _PLACE, count=2))
-    if not 0 < options.seconds <= LONGEST_S:
-        raise InputError("--seconds", "", f"{options.seconds:g}", f"more than 0, to {LONGEST_S:g}")
+    place = "X,Y in m, as 1.2,-0.4"
+    target = np.array(numbers("--target", options.target, float, place, count=2))
+    if not 0 < options.seconds <= 3600:
+        raise InputError("--seconds", "", f"{options.seconds:g}", "more than 0, to 3600")
     if options.out is not None:
         if options.out.suffix != ".csv":
             raise InputError("--out", "", str(options.out), "a file name ending in .csv")
@@ -63,11 +62,6 @@ def run(options: argparse.Namespace) -> int:
     if options.out is not None and len(track.t) >= FEWEST_ROWS:
         write_recording(_recording(options, policy, target, track), options.out)
         written = f"{len(track.t)} rows in {options.out}"
-    return _report(track, written)
-
-
-def _report(track: Track, written: str) -> int:
-    """Print the outcome in one line; return the exit status."""
     outcome = f"closest {track.closest_m:.3f} m" if np.isfinite(track.closest_m) else "not started"
     if track.stopped:
         line = f"sim2real swim: {track.stopped}; {outcome}; sent to rest; {written}"
@@ -109,22 +103,21 @@ def _on_bus(
 ) -> Iterator[str]:
     """URL of a robot whose servos are on a bus of this computer."""
     from rl.deploy.robots import bus_robot
-    from sim2real.hardware.buses import bus_class, connection
-    from sim2real.hardware.mounting import Wiring
+    from sim2real.hardware.buses import bus_class, connection, ids_of
+    from sim2real.hardware.mounting import places
+    from sim2real.hardware.recorder import mounted, priority
     from sim2real.hardware.servo_bus import Stopped
-    from sim2real.hardware.session import mounted, priority
 
     robot = _described(options, policy)
-    ids = numbers("--ids", options.ids, int, "whole numbers, as 1,2,3")
-    wiring = Wiring(ids, reverse=options.reverse)
-    wiring.check(robot, bus_class(options.bus).protocol.largest_id)
+    ids = ids_of(options.ids, bus_class(options.bus))
+    wired = places(robot, ids, reverse=options.reverse)
     rest = np.clip(0.0, policy.low, policy.high).astype(np.float64)
     try:
         with (
             priority(),
             connection(options.bus, options.port, options.baud) as link,
             bus_robot(
-                link, mounted(link, robot, wiring), rest, options.pose,
+                link, mounted(link.bus, robot, wired), rest, options.pose,
                 hottest_C=options.max_temperature, interrupted=stop, key=key,
             ) as (url, driven),
         ):  # fmt: skip
@@ -155,8 +148,7 @@ def _recording(
     options: argparse.Namespace, policy: Policy, target: Array, track: Track
 ) -> Recording:
     virtual = "Simulated by the twin, not measured: " if options.virtual else ""
-    names = ("body.x_m", "body.y_m", "body.yaw_rad")
-    columns = dict(zip(names, track.pose.T, strict=True))
+    columns = dict(zip(POSE, track.pose.T, strict=True))
     columns |= {"device_t_s": track.device_t, "inference_s": track.inference_s}
     inputs = [path for path in (options.policy, options.robot, options.model) if path is not None]
     return Recording(

@@ -125,19 +125,12 @@ def arguments_of(options: argparse.Namespace) -> dict[str, Any]:
 
 def _side_by_side(options: argparse.Namespace, arguments: dict[str, Any]) -> list[Path]:
     """Run a job for each seed, on this machine or on a cluster."""
-    calls = {}
-    for seed in arguments["seeds"]:
-        files = {
-            k: str(Path(arguments[k]).absolute())
-            for k in ("robot", "model", "ranges")
-            if arguments[k]
-        }
-        job_arguments = {**arguments, **files, "seeds": [seed]}
-        if "first" in arguments:
-            chosen = arguments["seeds"].index(seed) % len(arguments["first"])
-            job_arguments["first"] = arguments["first"][chosen : chosen + 1]
-        calls[f"seed-{seed}"] = job_arguments
+    paths = [name for name in ("robot", "model", "ranges") if arguments[name]]
+    files = {name: str(Path(arguments[name]).absolute()) for name in paths}
+    calls, seeds, first = {}, arguments["seeds"], arguments.get("first")
+    for k, seed in enumerate(seeds):
+        chosen = {"first": [first[k % len(first)]]} if first else {}
+        calls[f"seed-{seed}"] = {**arguments, **files, **chosen, "seeds": [seed]}
     work = f"{TRAINERS[options.controller].__name__}:train_run"
     folders = map_jobs(work, calls, options.out, **where_jobs_run(options))
-    seeds = arguments["seeds"]
     return [folder / f"policy-{seed}" for folder, seed in zip(folders, seeds, strict=True)]

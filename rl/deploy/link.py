@@ -43,16 +43,13 @@ import contextlib
 import json
 import secrets
 import select
-import socket
 import time
 from dataclasses import dataclass
-from urllib.parse import urlsplit
 
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.errors import InputError
-from sim2real.hardware.datagram import sealed, unsealed
+from sim2real.hardware.datagram import opened, sealed, unsealed
 
 SILENCE_S = 0.5
 """Time without a datagram after which either side regards the connection as lost."""
@@ -145,25 +142,6 @@ def _numbers(values: object, count: int) -> Array | None:
     with contextlib.suppress(OverflowError):
         return np.array([np.nan if x is None else x for x in values], dtype=np.float64)
     return None
-
-
-def opened(url: str, option: str, expected: str, *, bind: bool = False) -> socket.socket:
-    """A UDP socket that does not block, connected to ``udp://HOST:PORT`` or bound to it."""
-    end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    end.setblocking(False)
-    try:
-        address = urlsplit(url)
-        if address.scheme != "udp":
-            raise ValueError("not udp")
-        if bind:
-            end.bind((address.hostname or "127.0.0.1", address.port or 0))
-        else:
-            end.connect((address.hostname, address.port or 0))
-            end.getpeername()
-    except (OSError, ValueError, UnicodeError, OverflowError, TypeError) as error:
-        end.close()
-        raise InputError(option, "", f"{url!r} ({error})", expected) from None
-    return end
 
 
 class Link:

@@ -23,20 +23,20 @@ from rl.deploy.link import (
     SILENCE_S,
     TRACKER_S,
     Telemetry,
-    opened,
     read_set_points,
     read_telemetry,
     telemetry_bytes,
 )
 from rl.observer import CONTROL_S
 from sim2real.arrays import Array
+from sim2real.hardware.datagram import opened
 from sim2real.hardware.mounting import Mounting
-from sim2real.hardware.servo_bus import ServoBus, Stopped, reason
-from sim2real.hardware.session import approach, let_go, note_changes
+from sim2real.hardware.recorder import approach
+from sim2real.hardware.servo_bus import Stopped, reason
 
 if TYPE_CHECKING:
     from sim.twin.twin import Twin
-    from sim2real.hardware.buses import Connection
+    from sim2real.hardware.buses import Bus, Connection
 
 
 class Received:
@@ -197,7 +197,7 @@ class BusRobot(Received):
     """Servos on a bus, and the pose that a tracker sends; see ``bus_robot`` for the arguments."""
 
     def __init__(
-        self, bus: ServoBus, mountings: Sequence[Mounting], rest: Array, poses: Poses,
+        self, bus: Bus, mountings: Sequence[Mounting], rest: Array, poses: Poses,
         hottest_C: float, key: bytes | None,
     ) -> None:  # fmt: skip
         limits = np.array([mounting.joint.limits_rad for mounting in mountings])
@@ -243,7 +243,8 @@ def bus_robot(
     """
     expected = "udp://HOST:PORT of this computer, where poses arrive"
     with opened(poses, "--pose", expected, bind=True) as listener:
-        changed = note_changes(connection, mountings)
+        ids = [mounting.servo_id for mounting in mountings]
+        changed = connection.note(ids)
         try:
             approach(
                 connection.bus, mountings, [float(angle) for angle in rest],
@@ -254,7 +255,7 @@ def bus_robot(
             with served(robot) as url:
                 yield url, robot
         finally:
-            held = let_go(connection, mountings, changed)
+            held = connection.release(changed, ids)
         if held:
-            names = ", ".join(mounting.joint.name for mounting in held)
+            names = ", ".join(m.joint.name for m in mountings if m.servo_id in held)
             raise Stopped(f"the torque of {names} may still be on: switch off the supply")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sim import verbs
-from sim2real.commands.command import VIEWS, commands
+from sim2real.commands.command import VIEWS, Command
 
 _SWIMS = "sim.commands.swims"
 _NO_PAGE = "--no-page: do not write the HTML page"
@@ -22,32 +22,30 @@ recordings CSV: recording or table of commands (t_s, J.command_rad)
 """
 
 
-COMMANDS = commands(
-    {
-        "design": (
-            f"{_SWIMS}:design",
-            [verbs.design, "--out CSV!: commands to write (next.csv)", _NO_PAGE],
-            "--robot robot.toml --model model.json --out next.csv",
-        ),
-        "diagnose": (
-            "sim.commands.diagnose",
-            [verbs.diagnose, "--out FILE!: diagnosis to write (diagnosis.json)", _NO_PAGE, VIEWS],
-            "steps.csv chirp.csv --robot robot.toml --out diagnosis.json",
-        ),
-        "simulate": (
-            f"{_SWIMS}:simulate",
-            [_SIMULATE, VIEWS, verbs.simulate],
-            "model.json wave.csv --robot fish.toml --out swim.csv",
-        ),
-        "fit-twin": (
-            f"{_SWIMS}:fit_twin",
-            [_FIT_TWIN, verbs.fit_twin],
-            "robot.toml --model model.json --out fitted.json",
-        ),
-        "calibrate": (
-            f"{_SWIMS}:calibrate",
-            [verbs.calibrate, _CALIBRATE],
-            "swim.csv --robot fish.toml --model model.json --out calibrated.json",
-        ),
-    }
-)
+COMMANDS = {
+    "design": Command(
+        f"{_SWIMS}:design",
+        [verbs.design, "--out CSV!: commands to write (next.csv)", _NO_PAGE],
+        "--robot robot.toml --model model.json --out next.csv",
+    ),
+    "diagnose": Command(
+        "sim.commands.diagnose",
+        [verbs.diagnose, "--out FILE!: diagnosis to write (diagnosis.json)", _NO_PAGE, VIEWS],
+        "steps.csv chirp.csv --robot robot.toml --out diagnosis.json",
+    ),
+    "simulate": Command(
+        f"{_SWIMS}:simulate",
+        [_SIMULATE, VIEWS, verbs.simulate],
+        "model.json wave.csv --robot fish.toml --out swim.csv",
+    ),
+    "fit-twin": Command(
+        f"{_SWIMS}:fit_twin",
+        [_FIT_TWIN, verbs.fit_twin],
+        "robot.toml --model model.json --out fitted.json",
+    ),
+    "calibrate": Command(
+        f"{_SWIMS}:calibrate",
+        [verbs.calibrate, _CALIBRATE],
+        "swim.csv --robot fish.toml --model model.json --out calibrated.json",
+    ),
+}

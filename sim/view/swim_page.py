@@ -21,13 +21,13 @@ from sim2real.arrays import Array
 from sim2real.diagnose.result import Diagnosis, NamedEffect, Rival, percent
 from sim2real.inference.segments import Window
 from sim2real.model import Model
-from sim2real.recording import Recording
+from sim2real.recording import POSE, Recording
 from sim2real.report.diagnosis import effect_tables, told
 from sim2real.report.page import Block, Note, Section, Table, Text
 from sim2real.report.quantity import change_text
 from sim2real.report.series import Panel, series_block
 from sim2real.robot import Robot
-from sim2real.viewers.scenes import MEASURED, POSE, Scene, SignalGroup, recorded
+from sim2real.viewers.scenes import MEASURED, Scene, SignalGroup, recorded
 
 _LEAD = "Which physics of the body or the camera does the simulator leave out of these swims?"
 _SENTENCES = {

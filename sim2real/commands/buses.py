@@ -5,30 +5,24 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
 import numpy as np
 from tqdm import tqdm
 
-from sim2real.commands.command import numbers
 from sim2real.errors import InputError, one_of
-from sim2real.hardware.bench import scan as scanned
-from sim2real.hardware.bench import table
-from sim2real.hardware.buses import bus_class, connection
+from sim2real.hardware.buses import Bus, bus_class, connection, ids_of
 from sim2real.hardware.datagram import shared_key
-from sim2real.hardware.mounting import check_ids
+from sim2real.hardware.recorder import interruption, priority
 from sim2real.hardware.registers import model_named, servo_models
-from sim2real.hardware.session import interruption, priority
-from sim2real.hardware.virtual_bus import Law, VirtualBus, VirtualServo
-from sim2real.hardware.virtual_link import serve_terminal, serve_udp
+from sim2real.hardware.servo_bus import Found
+from sim2real.hardware.virtual_bus import Law, VirtualBus, VirtualServo, serve_terminal, serve_udp
 from sim2real.hardware.virtual_servos import VirtualDynamixel, VirtualFeetech, VirtualLx
 from sim2real.model import read_model
 
 LOCAL_S, NETWORK_S = 0.01, 0.05  # delay of an adapter or a radio
 EXCHANGE_BITS = 32 * 10  # a request and its reply on the wire
-_RESET = ": switch their supply off and on again"
-_PASS = ": pass it as --baud to other commands"
 _WITH_MODELS = {
     "dynamixel": ("XL330-M288", VirtualDynamixel),
     "feetech": ("STS3215", VirtualFeetech),
@@ -39,7 +33,7 @@ _WITH_MODELS = {
 def scan(options: argparse.Namespace) -> int:
     """Print a table of the servos that answer; 0 if one did, 1 if none."""
     kind = bus_class(options.bus)
-    ids = _ids(options.ids, kind.protocol.largest_id)
+    ids = ids_of(options.ids, kind)
     network = "://" in options.port
     rates = kind.baud_rates[: 1 if network else None] if options.baud is None else (options.baud,)
     for baud in rates:
@@ -58,7 +52,10 @@ def scan(options: argparse.Namespace) -> int:
             options.result = servos
             print(table(servos))
             if baud != kind.baud_rates[0] and options.baud is None:
-                print(f"They answer at {baud} baud{_RESET if options.bus == 'lx' else _PASS}.")
+                advice = "pass it as --baud to other commands"
+                if options.bus == "lx":
+                    advice = "switch their supply off and on again"
+                print(f"They answer at {baud} baud: {advice}.")
             return 0
     tried = f"{options.port} ({options.bus}, {', '.join(map(str, rates))} baud)"
     advice = "check supply, --bus, --baud and --ids"
@@ -66,18 +63,39 @@ def scan(options: argparse.Namespace) -> int:
     return 1
 
 
-def _ids(text: str, largest: int) -> list[int]:
-    """The identities in a list such as ``1,2,10-20``."""
-    ids: list[int] = []
-    try:
-        for part in text.split(","):
-            first, _, last = part.partition("-")
-            ids += range(int(first), int(last or first) + 1)
-    except ValueError:
-        ids = []
-    if not ids or not all(0 <= k <= largest for k in ids):
-        raise InputError("--ids", "", repr(text), f"numbers from 0 to {largest}, as 1,2,10-20")
-    return list(dict.fromkeys(ids))
+def scanned(
+    bus: Bus, ids: Iterable[int], patience_s: float, *, attempts: int = 3
+) -> tuple[list[Found], list[int]]:
+    """Servos that answer, and identities with corrupted answers; nothing is written to them."""
+    servos, garbled = [], []
+    for servo_id in ids:
+        before = bus.garbled
+        if any(bus.answers(servo_id, patience_s) for _ in range(attempts)):
+            servos.append(bus.look(servo_id, patience_s))
+        elif bus.garbled > before:
+            garbled.append(servo_id)
+    return servos, garbled
+
+
+def table(servos: Sequence[Found]) -> str:
+    """The servos as a table, one line each."""
+    width = max(len(servo.model) for servo in servos)
+    width = max(width, len("model")) if width else 0
+    named = f" {'model':<{width}}" if width else ""
+    lines = [f"{'id':>3}{named} {'ticks':>6} {'rad':>7} {'supply':>8} {'temp':>5}  torque  errors"]
+    for servo in servos:
+        ticks = "-" if servo.ticks is None else f"{servo.ticks}"
+        angle = "-" if servo.angle_rad is None else f"{servo.angle_rad:+.3f}"
+        supply = "-" if servo.supply_V is None else f"{servo.supply_V:.2f} V"
+        temperature = "-" if servo.temperature_C is None else f"{servo.temperature_C} C"
+        torque = "-" if servo.powered is None else "on" if servo.powered else "off"
+        errors = ", ".join(servo.errors) or "none"
+        named = f" {servo.model:<{width}}" if width else ""
+        lines.append(
+            f"{servo.servo_id:>3}{named} {ticks:>6} {angle:>7} {supply:>8} {temperature:>5}  "
+            f"{torque:<6}  {errors}"
+        )
+    return "\n".join(lines)
 
 
 def virtual_servo(options: argparse.Namespace) -> int:
@@ -87,8 +105,7 @@ def virtual_servo(options: argparse.Namespace) -> int:
         share = getattr(options, name)
         if not 0 <= share < 1:
             raise InputError(f"--{name}", "", f"{share:g}", "a share from 0 up to 1")
-    ids = numbers("--ids", options.ids, int, "whole numbers, as 1,2,3")
-    check_ids(ids, kind.protocol.largest_id)
+    ids = ids_of(options.ids, kind)
     baud = kind.baud_rates[0] if options.baud is None else options.baud
     if baud <= 0:
         raise InputError("--baud", "", f"{baud}", "a rate above 0, such as 1000000")
@@ -108,8 +125,8 @@ def virtual_servo(options: argparse.Namespace) -> int:
 
     with interruption() as stop, priority():
         if options.udp:
-            key, where = shared_key(), _address(options.udp)
-            serve_udp(bus, where, announce, stop, rng=rng, loss=options.loss, key=key)
+            more = {"loss": options.loss, "key": shared_key()}
+            serve_udp(bus, options.udp, announce, stop, rng=rng, **more)
         else:
             serve_terminal(bus, announce, stop)
     return 0
@@ -142,10 +159,3 @@ def _laws(options: argparse.Namespace, count: int) -> list[Law]:
     return [
         Law(j.kp_Nm_per_rad, j.kd_Nms_per_rad, j.latency_s, j.inertia_kgm2) for j in joints[:count]
     ]
-
-
-def _address(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    if not port.isdigit() or int(port) > 65535:
-        raise InputError("--udp", "", repr(text), "HOST:PORT, as 127.0.0.1:0")
-    return host or "127.0.0.1", int(port)

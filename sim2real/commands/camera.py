@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from sim2real.hardware.camera import (
 from sim2real.hardware.plots import track_figure
 from sim2real.hardware.tracker import Track, correlated, joined, open_video, read_picture, track
 from sim2real.output import beside, check_writable
-from sim2real.recording import Recording, read_recording, write_recording
+from sim2real.recording import POSE, Recording, read_recording, write_recording
 from sim2real.report.drawing import save_png
 from sim2real.velocity import body_velocity
 
@@ -42,10 +42,14 @@ def track_video(options: argparse.Namespace) -> int:
     servo = read_recording(options.servo) if options.servo else None
     with tqdm(desc="track", unit="frame", disable=None) as bar:
         seen = track(options.video, camera, progress=lambda: bar.update(1))
-    if servo is None:
-        recording = _poses_only(seen, options.joints)
-    else:
+    if servo is not None:
         recording = _with_servos(seen, servo, options)
+    else:  # poses only, one row per frame, without joint angles
+        nothing, joints = np.full((seen.t.size, len(options.joints)), np.nan), tuple(options.joints)
+        columns = dict(zip(POSE, seen.pose.T, strict=True))
+        recording = Recording(
+            "", "pool", joints, seen.t, nothing, nothing, medium="water", columns=columns
+        )
     enough = seen.seen.sum() >= 5
     speed = body_velocity(seen.t, seen.pose) if enough else np.zeros((1, 3))
     source = recording.source or f"sim2real track {options.video}"
@@ -57,22 +61,6 @@ def track_video(options: argparse.Namespace) -> int:
     print(f"mean surge {surge:.3f} m/s, largest yaw rate {yaw:.2f} rad/s")
     print(f"recording: {out}\npicture: {picture}")
     return 0
-
-
-def _poses_only(seen: Track, joints: Sequence[str]) -> Recording:
-    """A pool recording of poses, one row per frame, without joint angles."""
-    names = ("body.x_m", "body.y_m", "body.yaw_rad")
-    nothing = np.full((seen.t.size, len(joints)), np.nan)
-    return Recording(
-        name="",
-        kind="pool",
-        joints=tuple(joints),
-        t=seen.t,
-        command=nothing,
-        position=nothing,
-        medium="water",
-        columns=dict(zip(names, seen.pose.T, strict=True)),
-    )
 
 
 def _with_servos(seen: Track, servo: Recording, options: argparse.Namespace) -> Recording:
@@ -90,7 +78,7 @@ def _with_servos(seen: Track, servo: Recording, options: argparse.Namespace) -> 
         found = f"{options.sync} ({error})"
         raise InputError("track", "--sync", found, expected) from None
     columns = {**servo.columns, **joined(seen, servo, start)}
-    if not np.isfinite(columns["body.x_m"]).any():
+    if not np.isfinite(columns[POSE[0]]).any():
         raise InputError(options.video, "", "no frame of the recording's time", "one that overlaps")
     return replace(servo, kind="pool", loads={}, medium="water", columns=columns)
 

@@ -23,8 +23,8 @@ _PATHS = ("FILE", "FOLDER", "CSV", "TOML", "MODEL", "PNG", "RECORDING", "PICTURE
 _TYPES: dict[str, type] = {"N": int, "X": float, **dict.fromkeys(_PATHS, Path)}
 """Type of an option by the name of its value; text by default."""
 _ENTRIES = {
-    "columns": "OURS=THEIRS", "effects": "EFFECT", "inertia": "J=KGM2", "joints": "JOINT",
-    "pendulum": "J=KG,M", "units": "UNIT",
+    "columns": "OURS=THEIRS", "effects": "EFFECT", "inertia": "J=KGM2", "joint": "JOINT",
+    "joints": "JOINT", "pendulum": "J=KG,M", "units": "UNIT",
 }  # fmt: skip
 """An entry of a list of text by the name of the argument; NAME of others."""
 _LINE = re.compile(r"(?P<name>\S+?)(?: (?P<value>\S+?)(?P<count>[?+&]|\*\d)?)?(?P<needed>!?)"
@@ -37,50 +37,36 @@ VIEWS = """
 """
 
 
-_EXECUTOR = """
+EXECUTOR = """
 --executor local|ray: one process per run, on this machine or on a Ray cluster (default: {})
 --jobs N: runs at the same time (default: one per GPU)
 --address ADDRESS: address of the Ray cluster, HOST:PORT (default: a local one)
 --retries N = 2: times that a failed run is repeated
 """
+"""Options of ``where_jobs_run``; format it with what is done by default."""
 
 
 class Command(NamedTuple):
-    """One command."""
+    """One command, with the options of texts (``add_options``) and of verbs (``add_verb``)."""
 
-    name: str  # on the command line
     module: str
     """Imported when it runs; its ``run(options)``, or the function after a colon, returns the exit
     status, and may set ``options.result``, which ``--json`` prints if no JSON file is written."""
-    add: Callable[[argparse.ArgumentParser], None]  # adds its options to a parser
-    example: str  # an example call
+    options: Sequence[str | Verb]
+    example: str  # of a call, without the name
     resumes: bool = False  # whether the same call resumes after an interrupt
+    leave_out: Collection[str] = ()  # arguments of verbs that are no options
+    types: Mapping[str, Callable[[str], object]] = {}  # of options, other than from their text
 
-
-def command(
-    name: str,
-    module: str,
-    options: Sequence[str | Verb],
-    example: str,
-    *,
-    resumes: bool = False,
-    leave_out: Collection[str] = (),
-) -> Command:
-    """A command with the options of texts (``add_options``) and of verbs (``add_verb``)."""
-
-    def add(parser: argparse.ArgumentParser) -> None:
-        for some in options:
+    def add(self, parser: argparse.ArgumentParser) -> None:
+        """Add its options to a parser."""
+        for some in self.options:
             if isinstance(some, str):
                 add_options(parser, some)
             else:
-                add_verb(parser, some, leave_out=leave_out)
-
-    return Command(name, module, add, f"sim2real {name} {example}", resumes)
-
-
-def commands(table: Mapping[str, tuple[str, Sequence[str | Verb], str]]) -> tuple[Command, ...]:
-    """Commands by name, each with its module, options and those of an example."""
-    return tuple(command(name, *described) for name, described in table.items())
+                add_verb(parser, some, leave_out=self.leave_out)
+        for action in parser._actions:
+            action.type = self.types.get(action.dest, action.type)
 
 
 def add_options(command: argparse.ArgumentParser, text: str) -> None:
@@ -113,24 +99,21 @@ def add_options(command: argparse.ArgumentParser, text: str) -> None:
 
 
 def add_verb(
-    command: argparse.ArgumentParser,
-    verb: Verb,
-    *,
-    positional: Collection[str] = ("recordings", "source"),
-    leave_out: Collection[str] = (),
+    command: argparse.ArgumentParser, verb: Verb, *, leave_out: Collection[str] = ()
 ) -> None:
     """Add an option for each argument of a verb that the parser lacks and that is not left out.
 
     The annotation, a string, determines the type of an option, the default whether it is required,
-    and the entry under ``Args`` of the docstring is its help. ``positional`` have no option name.
+    and the entry under ``Args`` of the docstring is its help. What the verb is applied to, if it
+    comes first, has no option name.
     """
     described, there = described_arguments(verb), {action.dest for action in command._actions}
-    for name, parameter in inspect.signature(verb).parameters.items():
+    for place, (name, parameter) in enumerate(inspect.signature(verb).parameters.items()):
         if name in there or name in leave_out:
             continue
         options = _options(name, str(parameter.annotation), parameter.default)
         options["help"] = _help(described[name], parameter.default)
-        if name in positional:
+        if place == 0 and name in ("recordings", "source", "policies"):
             options.pop("required", None)
             command.add_argument(name, **options)
         else:
@@ -146,19 +129,16 @@ def arguments_of(verb: Verb, options: argparse.Namespace, **other: Any) -> dict[
 
 def described_arguments(verb: Verb) -> dict[str, str]:
     """The text of each argument in a docstring in Google's style, on one line."""
-    _, _, block = (inspect.getdoc(verb) or _docstring(verb)).partition("Args:\n")
-    block = re.split(r"\n\n?\S", block, maxsplit=1)[0]
+    text = inspect.getdoc(verb)
+    if text is None:  # python -OO leaves it out of the function, but not of the source
+        (definition,) = ast.parse(dedent(inspect.getsource(verb))).body
+        text = ast.get_docstring(definition) if isinstance(definition, ast.FunctionDef) else None
+    block = re.split(r"\n\n?\S", (text or "").partition("Args:\n")[2], maxsplit=1)[0]
     entries = re.split(r"^ {4}(\w+): ", block, flags=re.M)[1:]
     return {
         name: " ".join(entry.split()).replace("``", "")
         for name, entry in zip(entries[::2], entries[1::2], strict=True)
     }
-
-
-def _docstring(verb: Verb) -> str:
-    """The docstring in the source, which ``python -OO`` leaves out of the function."""
-    (definition,) = ast.parse(dedent(inspect.getsource(verb))).body
-    return ast.get_docstring(definition) or "" if isinstance(definition, ast.FunctionDef) else ""
 
 
 def _options(name: str, annotation: str, default: object) -> dict[str, Any]:
@@ -187,16 +167,8 @@ def _help(text: str, default: object) -> str:
     return (lowered + (f" (default {shown})" if stated else "")).replace("%", "%%")
 
 
-def add_executor(
-    command: argparse.ArgumentParser, *, default: str | None = None, otherwise: str = ""
-) -> None:
-    """Add ``--executor`` (None: no jobs, but ``otherwise``), ``--jobs`` and so on."""
-    add_options(command, _EXECUTOR.format(otherwise or default))
-    command.set_defaults(executor=default)
-
-
 def where_jobs_run(options: argparse.Namespace) -> dict[str, Any]:
-    """Arguments of ``run_jobs`` from these options; a job on a device other than cpu has a GPU."""
+    """Arguments of ``run_jobs`` from ``EXECUTOR``; a job on a device other than cpu has a GPU."""
     return {
         "executor": options.executor,
         "at_once": options.jobs,

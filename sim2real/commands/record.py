@@ -1,8 +1,9 @@
-"""``sim2real record``."""
+"""``sim2real record``; ``sim2real bench``, from servos on a port to identified gains."""
 
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,24 +11,32 @@ from typing import Any
 
 import numpy as np
 
+from sim2real import verbs
+from sim2real.check import check
+from sim2real.commands.buses import scanned, table
 from sim2real.commands.command import numbers
-from sim2real.errors import InputError
-from sim2real.hardware.buses import bus_class, connection
-from sim2real.hardware.mounting import Wiring
-from sim2real.hardware.recorder import Run
-from sim2real.hardware.servo_bus import Stopped
-from sim2real.hardware.session import RATE_HZ, bus_settings, drive, mounted, priority
-from sim2real.output import check_writable, provenance
-from sim2real.recording import SCHEMA
+from sim2real.errors import InputError, if_installed
+from sim2real.hardware.buses import Connection, bus_class, connection, ids_of
+from sim2real.hardware.mounting import Place, places
+from sim2real.hardware.recorder import RATE_HZ, Run, drive, priority
+from sim2real.hardware.registers import model_named
+from sim2real.hardware.servo_bus import PATIENCE_S, Found, Stopped
+from sim2real.model import write_model
+from sim2real.output import check_writable, provenance, write_whole
+from sim2real.recording import SCHEMA, read_recording
 from sim2real.robot import Joint, Robot, read_robot
+from sim2real.servo.prediction import replay
 from sim2real.signals import UNIT, Excitation, Shape, excitation, played
 from sim2real.structured import read_json
 
 _PLANNED = ("loads", "context", "rivals")
 HOTTEST_POSSIBLE_C = 85.0  # where the servos switch off by themselves
+Load = dict[str, float]
+"""A load as in a recording's JSON; empty if it is unknown."""
+FILES = ("robot.toml", "steps.csv", "steps.json", "model.json", "index.html")
 
 
-def run(options: argparse.Namespace) -> int:
+def record(options: argparse.Namespace) -> int:
     """Play a signal on the servos of a bus and write rows; 1 if it was stopped early, else 0."""
     robot = read_robot(options.robot)
     joints = _joints(robot, options.joints)
@@ -36,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
         print(_described(signal, joints))
         _plot(options.plot, signal, joints)
         return 0
-    wiring = _wiring(options, robot)
+    wired = _places(options, robot)
     sent = sidecar(
         signal,
         _planned(options.signal),
@@ -46,21 +55,26 @@ def run(options: argparse.Namespace) -> int:
         provenance=provenance([options.robot], options.seed),
     )
     if options.inertia:
-        sent["loads"] = _loads(options.inertia, signal.joints)
-    _check_out(options)
+        text, count = options.inertia, len(joints)
+        expected = f"{count} numbers above 0 in kg m2, for {', '.join(signal.joints)}"
+        inertias = numbers("--inertia", text, float, expected, count=count, positive=True)
+        loads = zip(signal.joints, inertias, strict=True)
+        sent["loads"] = {joint: {"inertia_kgm2": inertia} for joint, inertia in loads}
+    out = options.out
+    if out is None or out.suffix != ".csv":
+        raise InputError("--out", "", str(out or "nothing"), "a file name ending in .csv")
+    for path in (out, out.with_suffix(".json")):
+        check_new(path, options)
     _plot(options.plot, signal, joints)
     for note in signal.notes:
         print(note)
     with priority(), connection(options.bus, options.port, options.baud) as link:
         try:
-            mountings = mounted(link, robot, wiring)
-            sent["bus"] = bus_settings(link, options.port, mountings)
+            run = drive(link, robot, wired, signal, out, sent, hottest_C=options.max_temperature)
         except (Stopped, OSError) as error:
             print(f"sim2real record: {error}; nothing written", file=sys.stderr)
             return 1
-        limit = options.max_temperature
-        run = drive(link, mountings, signal, options.out, sent, hottest_C=limit)
-    return _report(options.out, run)
+    return report("record", out, run)
 
 
 def sidecar(
@@ -79,16 +93,23 @@ def check_temperature(limit_C: float) -> None:
         raise InputError("--max-temperature", "", f"{limit_C:g} C", expected)
 
 
-def _report(out: Path, run: Run) -> int:
+def check_new(path: Path, options: argparse.Namespace) -> None:
+    """Raise InputError if a file can't be written, or exists and is not to be replaced."""
+    check_writable(path)
+    if path.exists() and not options.overwrite:
+        raise InputError(path, "", "a file already", "another name, or --overwrite")
+
+
+def report(command: str, out: Path, run: Run) -> int:
     """Print the outcome in one line; return the exit status."""
     if run.stopped:
-        line = f"sim2real record: {run.stopped}; {run.written(out)}; {run.torque}"
+        line = f"sim2real {command}: {run.stopped}; {run.written(out)}; {run.torque}"
         print(line, file=sys.stderr)
         return 1
     missing = ", ".join(f"{name} {count}" for name, count in run.missing.items())
     print(
         f"{run.written(out)}; missing positions: {missing}; {run.skipped} set-points skipped; "
-        f"99.9 % of cycles within {1e3 * run.late_999_s():.1f} ms; {run.torque}"
+        f"99.9 % of cycles within {1e3 * run.late_999_s:.1f} ms; {run.torque}"
     )
     return 1 if run.unreleased else 0
 
@@ -126,27 +147,14 @@ def _joints(robot: Robot, names: Sequence[str] | None) -> list[Joint]:
     return [joint for joint in robot.joints if names is None or joint.name in names]
 
 
-def _wiring(options: argparse.Namespace, robot: Robot) -> Wiring:
+def _places(options: argparse.Namespace, robot: Robot) -> list[Place]:
     for name in ("port", "ids"):
         if getattr(options, name) is None:
             raise InputError(f"--{name}", "", "nothing", "it, unless with --dry-run")
     check_temperature(options.max_temperature)
-    whole = "whole numbers, as 1,2,3"
-    wiring = Wiring(
-        ids=numbers("--ids", options.ids, int, whole),
-        joints=[joint.name for joint in _joints(robot, options.joints)],
-        trim_ticks=numbers("--trim", options.trim, int, whole) if options.trim else None,
-        reverse=options.reverse,
-    )
-    wiring.check(robot, bus_class(options.bus).protocol.largest_id)
-    return wiring
-
-
-def _loads(text: str, joints: Sequence[str]) -> dict[str, dict[str, float]]:
-    count = len(joints)
-    expected = f"{count} numbers above 0 in kg m2, for {', '.join(joints)}"
-    inertias = numbers("--inertia", text, float, expected, count=count, positive=True)
-    return {joint: {"inertia_kgm2": x} for joint, x in zip(joints, inertias, strict=True)}
+    trim = options.trim and numbers("--trim", options.trim, int, "whole numbers, as 4,0,-2")
+    ids, joints = ids_of(options.ids, bus_class(options.bus)), _joints(robot, options.joints)
+    return places(robot, ids, [joint.name for joint in joints], trim, options.reverse)
 
 
 def _planned(signal: str) -> dict[str, Any]:
@@ -156,16 +164,6 @@ def _planned(signal: str) -> dict[str, Any]:
         return {"loads": {}}
     content = read_json(path, SCHEMA)
     return {"loads": {}} | {name: content[name] for name in _PLANNED if name in content}
-
-
-def _check_out(options: argparse.Namespace) -> None:
-    if options.out is None or options.out.suffix != ".csv":
-        raise InputError("--out", "", str(options.out or "nothing"), "a file name ending in .csv")
-    check_writable(options.out)
-    if not options.overwrite:
-        for path in (options.out, options.out.with_suffix(".json")):
-            if path.exists():
-                raise InputError(path, "", "a file already", "another name, or --overwrite")
 
 
 def _described(signal: Excitation, joints: Sequence[Joint]) -> str:
@@ -187,3 +185,157 @@ def _plot(path: Path | None, signal: Excitation, joints: Sequence[Joint]) -> Non
     from sim2real.report.drawing import save_png
 
     save_png(signal_figure(signal, joints), path)
+
+
+def bench(options: argparse.Namespace) -> int:
+    """Scan, record steps, identify, and write a page; 1 if the recording stopped early, else 0."""
+    ids = ids_of(options.ids, bus_class(options.bus))
+    check_temperature(options.max_temperature)
+    for name in FILES[options.robot is not None :]:
+        check_new(options.out / name, options)
+    loads, steps = _given_loads(options, len(ids)), options.out / "steps.csv"
+    with priority(), connection(options.bus, options.port, options.baud) as link:
+        try:
+            robot, result = _recorded(options, link, ids, loads)
+        except (Stopped, OSError) as error:
+            print(f"sim2real bench: {error}", file=sys.stderr)
+            return 1
+        finally:
+            if options.robot is None and not steps.exists():
+                (options.out / "robot.toml").unlink(missing_ok=True)
+    if status := report("bench", steps, result):
+        return status
+    recording = read_recording(steps)
+    model = verbs.identify([recording], robot, seed=options.seed)
+    write_model(model, options.out / "model.json")
+    print(model)
+    with if_installed("page"):
+        from sim2real.report.identification import identification_section
+        from sim2real.report.page import write_page
+        from sim2real.report.recordings import recordings_section
+
+        shown = replay(model, [recording])
+        fits = [(one.recording, one.joint, one.predicted, one.held_out) for one in shown]
+        checked = check(recording, robot, seed=options.seed)
+        sections = [identification_section(model, fits), recordings_section([recording], [checked])]
+        page = options.out / "index.html"
+        write_page(page, robot.name, f"{options.bus} servos", sections, model.provenance)
+        print(f"\npage: {page}")
+    return 0
+
+
+def _recorded(
+    options: argparse.Namespace, link: Connection, ids: Sequence[int], loads: list[Load] | None
+) -> tuple[Robot, Run]:
+    """Find the servos, ask for their loads unless they are given, and record steps of all."""
+    servos, _ = scanned(link.bus, ids, PATIENCE_S)
+    if missing := sorted(set(ids) - {servo.servo_id for servo in servos}):
+        asked = f"servo {', '.join(map(str, missing))} ({link.bus.name}, {link.bus.baud} baud)"
+        raise Stopped(f"no reply from {asked}: check supply, --ids, --bus and --baud")
+    print(table(servos))
+    text = None if options.robot else robot_text(options.bus, servos, options.reach)
+    if loads is None:
+        loads = [_asked(servo_id, _hangs(options)) for servo_id in ids]
+    if text is not None:
+        write_whole(options.out / "robot.toml", text)
+    robot = read_robot(options.robot or options.out / "robot.toml")
+    wired = places(robot, ids)
+    rng = np.random.default_rng(options.seed)
+    signal = excitation("steps", robot.joints, seconds=options.seconds, rate_hz=RATE_HZ, rng=rng)
+    sent = sidecar(
+        signal,
+        {"loads": {one.joint.name: load for one, load in zip(wired, loads, strict=True) if load}},
+        name="steps",
+        medium="air",
+        source="Recorded by 'sim2real bench'.",
+        provenance=provenance([robot], options.seed),
+    )
+    steps, limit = options.out / "steps.csv", options.max_temperature
+    return robot, drive(link, robot, wired, signal, steps, sent, hottest_C=limit)
+
+
+def robot_text(
+    bus: str, servos: Sequence[Found], reach_rad: float, *, longest_rad: float = 2.5
+) -> str:
+    """A ``robot.toml`` with a joint of +-``reach_rad`` a servo; ``InputError`` without ratings."""
+    if not 0 < reach_rad <= longest_rad:
+        expected = f"more than 0 and at most {longest_rad:g} rad"
+        raise InputError("--reach", "", f"{reach_rad:g} rad", expected)
+    parts, joints = ['name = "bench"'], []
+    for k, servo in enumerate(servos, start=1):
+        model, supply = model_named(bus, servo.model), servo.supply_V
+        rating = None if model is None or supply is None else model.rating(supply)
+        if model is None or rating is None:
+            found = f"no ratings of servo {servo.servo_id} ({servo.model or bus})"
+            raise InputError("--robot", "", found, "a robot.toml with its torque and speed")
+        parts.append(f"""
+# {model.name} at {rating.supply_V:g} V: {model.source}
+[servos.j{k}]
+max_torque_Nm = {rating.stall_torque_Nm:g}
+no_load_speed_rad_s = {rating.no_load_speed_rad_s:.3f}
+position_step_rad = {2 * math.pi / model.ticks_per_turn:.6f}
+""")
+        limits = f"limits_rad = [{-reach_rad:g}, {reach_rad:g}]"
+        joints.append(f'[[joints]]\nname = "j{k}"\nservo = "j{k}"\n{limits}\n')
+    links = [f'[[links]]\nname = "link{k + 1}"\n' for k in range(len(servos) + 1)]
+    return "\n".join([*parts, *links, *joints])
+
+
+def load_of(mass_kg: float, arm_m: float, *, hangs: bool) -> Load:
+    """Load of a mass at the end of an arm, as in a recording's JSON.
+
+    With gravity if it hangs straight down at 0; otherwise the shaft is vertical.
+    """
+    load = {"inertia_kgm2": mass_kg * arm_m**2}
+    return load | ({"pendulum_mass_kg": mass_kg, "pendulum_length_m": arm_m} if hangs else {})
+
+
+def _given_loads(options: argparse.Namespace, count: int) -> list[Load] | None:
+    """Loads from the options; None if they have to be asked for."""
+    if options.unknown_load:
+        return [{}] * count
+    if options.inertia is not None:
+        return [{"inertia_kgm2": x} for x in _positive("--inertia", options.inertia, count)]
+    if options.mass is not None or options.arm is not None:
+        masses = _positive("--mass", options.mass, count)
+        arms, hangs = _positive("--arm", options.arm, count), _hangs(options)
+        return [load_of(*pair, hangs=hangs) for pair in zip(masses, arms, strict=True)]
+    if not sys.stdin.isatty():
+        expected = "--mass and --arm, --inertia or --unknown-load"
+        raise InputError("--mass", "", "no load, and no terminal to ask", expected)
+    return None
+
+
+def _hangs(options: argparse.Namespace) -> bool:
+    return bool(options.shaft == "horizontal")
+
+
+def _asked(servo_id: int, hangs: bool) -> Load:
+    """The load, asked for on the terminal; empty if it is unknown."""
+    mass = _answer(f"mass of the load on servo {servo_id}, kg (empty: unknown): ")
+    while mass is not None:
+        if arm := _answer("distance of its centre from the shaft, m: "):
+            return load_of(mass, arm, hangs=hangs)
+    return {}
+
+
+def _answer(question: str) -> float | None:
+    """A number above 0, or None for an empty line."""
+    while True:
+        text = input(question).strip()
+        if not text:
+            return None
+        try:
+            number = float(text)
+        except ValueError:
+            number = 0.0
+        if 0 < number < np.inf:
+            return number
+        print(f"found {text!r}, expected a number above 0")
+
+
+def _positive(option: str, text: str | None, count: int) -> list[float]:
+    expected = f"{count} numbers above 0, one for each servo"
+    if text is None:
+        raise InputError(option, "", "nothing", expected)
+    return numbers(option, text, float, expected, count=count, positive=True)

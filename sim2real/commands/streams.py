@@ -7,7 +7,7 @@ import contextlib
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -33,11 +33,6 @@ class Lenient:
                     code = error.encoding
                     stream.write(text.encode(code, "backslashreplace").decode(code))
         return len(text)
-
-    def writelines(self, lines: Iterable[str]) -> None:
-        """Write all ``lines``."""
-        for line in lines:
-            self.write(line)
 
     def flush(self) -> None:
         """Flush the stream."""

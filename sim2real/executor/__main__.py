@@ -1,11 +1,11 @@
-"""``python -m sim2real.executor FOLDER``: the process of one job.
+"""``python -m sim2real.executor FOLDER``: the process of one job, as ``Job.start`` starts it.
 
-Exit status: 0 if the job is done, 2 for wrong input, 1 if it raised an exception.
+It ends, with everything started here, when standard input is closed. Exit status: 0 if the job is
+done, 2 for wrong input, 1 if it raised an exception.
 """
 
 from __future__ import annotations
 
-import argparse
 import fcntl
 import importlib
 import os
@@ -13,10 +13,9 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from sim2real.errors import InputError
 from sim2real.executor.job import read_job
@@ -24,34 +23,25 @@ from sim2real.executor.job import read_job
 PATIENCE_S = 30.0  # to wait for an earlier process to release the folder
 
 
-def main() -> int:
+def main(folder: Path) -> int:
     """Run the job of a folder, unless it is done."""
-    parser = argparse.ArgumentParser(prog="python -m sim2real.executor", description=main.__doc__)
-    parser.add_argument("folder", type=Path, help="a run folder with its job.json")
-    ending = "end, with everything started here, when standard input is closed"
-    parser.add_argument("--lifeline", action="store_true", help=ending)
-    options = parser.parse_args()
-    if options.lifeline:
-        _end_with_parent()
+    _end_with_parent()
     try:
-        job = read_job(options.folder.absolute())
-        with locked(job.folder):
+        job = read_job(folder)
+        with locked(folder):
             if not job.is_done():
                 job.begin()
-                _function(job.function, job.name)(job.folder, **job.options)
+                name, _, function = job.function.partition(":")
+                work = getattr(importlib.import_module(name), function, None)
+                if not callable(work):
+                    found = f"no {function} in {name}"
+                    raise InputError(job.name, "function", found, "a function")
+                work(folder, **job.options)
                 job.end()
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
     return 0
-
-
-def _function(path: str, job: str) -> Callable[..., Any]:
-    name, _, function = path.partition(":")
-    module = importlib.import_module(name)
-    if not callable(work := getattr(module, function, None)):
-        raise InputError(job, "function", f"no {function} in {name}", "a function")
-    return work  # type: ignore[no-any-return]
 
 
 @contextmanager
@@ -89,4 +79,4 @@ def _end_with_parent() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(Path(sys.argv[1])))

@@ -86,15 +86,13 @@ class Job:
     def start(
         self, directory: str | os.PathLike[str], variables: Mapping[str, str]
     ) -> subprocess.Popen[bytes]:
-        """Start the process of the written job in a new session; it ends with this process.
+        """Start the process of the written job in a directory; it ends with this process.
 
-        Args:
-            directory: Working directory of the process.
-            variables: Environment variables in addition to those of this process.
+        The environment ``variables`` are in addition to those of this process.
         """
         with (self.folder / LOG).open("ab") as log:
             return subprocess.Popen(
-                [sys.executable, "-P", "-m", "sim2real.executor", str(self.folder), "--lifeline"],
+                [sys.executable, "-P", "-m", "sim2real.executor", str(self.folder)],
                 stdin=subprocess.PIPE,  # the lifeline: closed when this process ends
                 stdout=log,
                 stderr=subprocess.STDOUT,

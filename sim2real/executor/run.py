@@ -14,7 +14,7 @@ from collections import Counter, deque
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
-from itertools import islice, takewhile
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +31,7 @@ def run_jobs(
     executor: str = "local",
     at_once: int | None = None,
     address: str | None = None,
-    cpus: int = 1,
-    gpus: float = 0,
+    gpus: int = 0,
     retries: int = 2,
     seconds: float = math.inf,
 ) -> list[JobOutcome]:
@@ -43,15 +42,13 @@ def run_jobs(
     options is skipped. An interrupt kills running jobs; the same call resumes them.
 
     Args:
-        jobs: The jobs, with distinct names and folders.
+        jobs: The jobs, with distinct names and folders. Each has one CPU core.
         executor: ``local`` for processes on this machine, ``ray`` for a Ray cluster whose nodes
             share the file system and the Python environment.
         at_once: Number of local jobs at a time; default: as many as fit on the GPUs, or on the
             CPUs if ``gpus`` is 0. Not used with a cluster.
         address: The Ray cluster; None for one that ``ray.init`` finds.
-        cpus: CPU cores, and threads, of each job.
-        gpus: GPUs of each job: a whole number, or a fraction to share one GPU. With 0 no GPU is
-            visible to the job.
+        gpus: GPUs of each job. With 0 no GPU is visible to the job.
         retries: Maximum number of further attempts if a process is killed.
         seconds: Time after which no further job is started; its failure is then ``NOT_STARTED``.
 
@@ -63,21 +60,25 @@ def run_jobs(
             such executor, no Ray, no cluster or not enough GPUs.
     """
     jobs = [replace(job, folder=job.folder.absolute()) for job in jobs]
-    _check(jobs)
+    for field in ("name", "folder"):
+        for value, times in Counter(getattr(job, field) for job in jobs).most_common(1):
+            if times > 1:
+                raise InputError("jobs", field, f"{value} {times} times", "one for each job")
+    for job in jobs:
+        check_writable(job.folder / LOG)
     remaining = [job for job in jobs if not job.is_done()]
     outcomes = {job.name: JobOutcome(job) for job in jobs}
     if not remaining:
         return list(outcomes.values())
     outcomes |= {job.name: JobOutcome(job, NOT_STARTED) for job in remaining}
-    deadline = time.monotonic() + seconds
-    in_time = takewhile(lambda _: time.monotonic() < deadline, iter(remaining))
+    deadline = time.time() + seconds
     path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
-    variables = {"PYTHONPATH": path, "PYTHONUNBUFFERED": "1", "OMP_NUM_THREADS": str(cpus)}
+    variables = {"PYTHONPATH": path, "PYTHONUNBUFFERED": "1", "OMP_NUM_THREADS": "1"}
     if executor == "local":
-        places = slots(at_once, cpus=cpus, gpus=gpus)
-        running = _run_local(in_time, places, variables, retries=retries)
+        in_time = takewhile(lambda _: time.time() < deadline, remaining)
+        running = _run_local(in_time, slots(at_once, gpus), variables, retries)
     elif executor == "ray":
-        running = run_on_ray(in_time, address, variables, cpus=cpus, gpus=gpus, retries=retries)
+        running = run_on_ray(remaining, address, variables, gpus, retries, deadline)
     else:
         raise InputError("--executor", "", shown(executor), "local or ray")
     style = {"desc": "jobs", "unit": "job", "miniters": 0, "mininterval": 1.0, "disable": None}
@@ -118,18 +119,8 @@ def map_jobs(
     return [job.folder for job in jobs]
 
 
-def _check(jobs: Sequence[Job]) -> None:
-    """Check that jobs have distinct names and distinct, writable folders."""
-    for field in ("name", "folder"):
-        for value, times in Counter(getattr(job, field) for job in jobs).most_common(1):
-            if times > 1:
-                raise InputError("jobs", field, f"{value} {times} times", "one for each job")
-    for job in jobs:
-        check_writable(job.folder / LOG)
-
-
 def _run_local(
-    jobs: Iterator[Job], slots: Sequence[str], variables: Mapping[str, str], *, retries: int
+    jobs: Iterator[Job], slots: Sequence[str], variables: Mapping[str, str], retries: int
 ) -> Generator[JobOutcome | None]:
     """Run each job in one of the ``slots``; one that dies gets up to ``retries`` more attempts.
 
@@ -172,10 +163,8 @@ def _run_local(
             stop(process)
 
 
-def slots(at_once: int | None, *, cpus: int, gpus: float) -> list[str]:
-    """``CUDA_VISIBLE_DEVICES`` of each job that may run at a time; different GPUs are used first.
-
-    The arguments are those of ``run_jobs``.
+def slots(at_once: int | None, gpus: int) -> list[str]:
+    """``CUDA_VISIBLE_DEVICES`` of each job that may run at a time; arguments as of ``run_jobs``.
 
     Raises:
         InputError: If there are too few GPUs.
@@ -184,13 +173,13 @@ def slots(at_once: int | None, *, cpus: int, gpus: float) -> list[str]:
         raise InputError("--jobs", "", str(at_once), "at least 1")
     if gpus == 0:
         limited = hasattr(os, "sched_getaffinity")  # respects the limits of a scheduler
-        cores = len(os.sched_getaffinity(0)) if limited else os.cpu_count() or 1
-        return [""] * (at_once or max(1, cores // cpus))
-    visible, size = visible_gpus(), max(1, math.ceil(gpus))
-    groups = [visible[k : k + size] for k in range(0, len(visible) // size * size, size)]
-    places = [",".join(group) for group in groups] * max(1, int(1 / gpus + 1e-9))
+        return [""] * (
+            at_once or (len(os.sched_getaffinity(0)) if limited else os.cpu_count() or 1)
+        )
+    visible = visible_gpus()
+    places = [",".join(visible[k : k + gpus]) for k in range(0, len(visible) // gpus * gpus, gpus)]
     if len(places) < (at_once or 1):
-        expected = f"enough for {at_once or 1} at a time, {gpus:g} each"
+        expected = f"enough for {at_once or 1} at a time, {gpus} each"
         raise InputError("--jobs", "", f"{len(visible)} GPUs", expected)
     return places[:at_once]
 
@@ -207,24 +196,20 @@ def visible_gpus() -> list[str]:
     return answer.stdout.split() if answer.returncode == 0 else []
 
 
-_LOOK_EVERY_S = 1.0
-
-
 def run_on_ray(
-    jobs: Iterator[Job],
+    jobs: Sequence[Job],
     address: str | None,
     variables: Mapping[str, str],
-    *,
-    cpus: int,
-    gpus: float,
+    gpus: int,
     retries: int,
+    deadline: float,
 ) -> Generator[JobOutcome | None]:
-    """Run each job on a node with ``cpus`` and ``gpus`` available.
+    """Run each job on a node with a CPU and ``gpus`` available; nodes may join and leave.
 
-    A job is taken from ``jobs`` when the nodes have room for it; nodes may join and leave. A job
-    whose process dies, or whose node is lost, gets up to ``retries`` more attempts. Every node has
-    the folders at the same path; ``variables`` are added to its environment. ``InputError`` if
-    there is no Ray, no such cluster, or no node large enough for a job.
+    A job whose process dies, or whose node is lost, gets up to ``retries`` more attempts, but none
+    starts after ``deadline`` (``time.time``). Every node has the folders at the same path;
+    ``variables`` are added to its environment. ``InputError`` if there is no Ray, no such cluster,
+    or no node large enough for a job.
 
     Yields:
         The outcome of each job as it ends, and None about once a second in between. Closing the
@@ -234,42 +219,30 @@ def run_on_ray(
     joined = not ray.is_initialized()
     if joined:
         _join(ray, address)
-
-    def nodes() -> list[dict[str, float]]:
-        return [node["Resources"] for node in ray.nodes() if node["Alive"]]
-
-    def room() -> int:
-        """Number of jobs that the nodes hold at a time."""
-        total = 0
-        for node in nodes():
-            by_cpu = int(node.get("CPU", 0) / cpus)
-            total += min(by_cpu, int(node.get("GPU", 0) / gpus + 1e-9)) if gpus else by_cpu
-        return total
-
+    environment = dict(variables) if gpus else {**variables, "CUDA_VISIBLE_DEVICES": ""}
     pending: dict[Any, Job] = {}
     try:
-        if not room():
-            found = f"{len(nodes())} nodes too small"
-            expected = f"{cpus} CPUs and {gpus:g} GPUs on one of them"  # it would wait forever
-            raise InputError("--executor", "ray", found, expected)
-        needs = {"num_cpus": cpus, "num_gpus": gpus}
-        task = ray.remote(**needs, max_retries=retries, retry_exceptions=[Died])(_attempt)
-        environment = dict(variables) if gpus else {**variables, "CUDA_VISIBLE_DEVICES": ""}
-        while True:
-            places = room()
-            for job in islice(jobs, max(0, places - len(pending))):
-                write_job(job)
-                pending[task.remote(job, os.getcwd(), environment)] = job
-            if places and not pending:
-                return
-            if not pending:  # all nodes are lost: another may join
-                time.sleep(_LOOK_EVERY_S)
-                yield None
-                continue
-            ended, _ = ray.wait(list(pending), num_returns=1, timeout=_LOOK_EVERY_S)
+        nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
+        if not any(node.get("CPU", 0) >= 1 and node.get("GPU", 0) >= gpus for node in nodes):
+            expected = f"1 CPUs and {gpus} GPUs on one of them"  # it would wait forever
+            raise InputError("--executor", "ray", f"{len(nodes)} nodes too small", expected)
+        limits = {"max_retries": retries, "retry_exceptions": [Died]}
+        task = ray.remote(num_cpus=1, num_gpus=gpus, **limits)(_attempt)
+        for job in jobs:
+            write_job(job)
+            pending[task.remote(job, os.getcwd(), environment, deadline)] = job
+        while pending:
+            ended, _ = ray.wait(list(pending), num_returns=1, timeout=1.0)
             yield None
             for answer in ended:
-                yield JobOutcome(pending.pop(answer), _failure(ray, answer, retries))
+                job, attempts = pending.pop(answer), f"{retries + 1} times"
+                try:
+                    yield JobOutcome(job, ray.get(answer))
+                except ray.exceptions.RayTaskError as error:
+                    yield JobOutcome(job, f"{error.cause}, {attempts}")
+                except ray.exceptions.RayError as error:
+                    lost = f"lost by Ray ({type(error).__name__})"
+                    yield JobOutcome(job, f"{lost}, {attempts}")
     finally:
         for answer in pending:
             with contextlib.suppress(ray.exceptions.RayError):
@@ -278,8 +251,10 @@ def run_on_ray(
             ray.shutdown()
 
 
-def _attempt(job: Job, directory: str, variables: Mapping[str, str]) -> str | None:
+def _attempt(job: Job, directory: str, variables: Mapping[str, str], deadline: float) -> str | None:
     """One attempt at a job, on a node; the reason if it failed."""
+    if time.time() > deadline:
+        return NOT_STARTED
     try:
         process = job.start(directory, variables)
     except OSError as error:
@@ -288,16 +263,6 @@ def _attempt(job: Job, directory: str, variables: Mapping[str, str]) -> str | No
         return job.failure(process.wait())
     finally:
         stop(process)
-
-
-def _failure(ray: Any, answer: Any, retries: int) -> str | None:  # noqa: ANN401 - a module
-    try:
-        reason: str | None = ray.get(answer)
-    except ray.exceptions.RayTaskError as error:
-        return f"{error.cause}, {retries + 1} times"
-    except ray.exceptions.RayError as error:
-        return f"lost by Ray ({type(error).__name__}), {retries + 1} times"
-    return reason
 
 
 def _join(ray: Any, address: str | None) -> None:  # noqa: ANN401 - a module

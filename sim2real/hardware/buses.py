@@ -7,7 +7,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,11 +16,11 @@ from typing import BinaryIO
 from sim2real.errors import InputError, check_choice
 from sim2real.hardware.lx import LxBus
 from sim2real.hardware.register_bus import DynamixelBus, FeetechBus
-from sim2real.hardware.servo_bus import ServoBus
 from sim2real.hardware.transport import open_transport
 from sim2real.output import write_json
 
-BUSES: Mapping[str, type[ServoBus]] = {bus.name: bus for bus in (LxBus, DynamixelBus, FeetechBus)}
+Bus = LxBus | DynamixelBus | FeetechBus
+BUSES: Mapping[str, type[Bus]] = {bus.name: bus for bus in (LxBus, DynamixelBus, FeetechBus)}
 
 
 @dataclass(frozen=True)
@@ -52,15 +52,22 @@ class Journal:
         with contextlib.suppress(OSError):  # reading the servos needs no journal
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._lock = self.path.with_suffix(".lock").open("wb")
-        if self._lock is not None and not _locked(self._lock):
+        if self._lock is None or sys.platform == "win32":  # where a port is opened only once anyway
+            return
+        import fcntl
+
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # until the process ends
+        except OSError:
             self._lock.close()
-            raise InputError("--port", "", f"{port} in use by another command", "a free port")
+            found = f"{port} in use by another command"
+            raise InputError("--port", "", found, "a free port") from None
 
     def pending(self) -> list[Changed]:
         """Servos that are changed, or that a command which was killed has left changed."""
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
             entries = json.loads(self.path.read_bytes())["servos"]
-            return [Changed(e["bus"], e["baud"], e["servo_id"], e["values"]) for e in entries]
+            return [Changed(**entry) for entry in entries]
         return []
 
     def note(self, about_to_change: Sequence[Changed]) -> list[Changed]:
@@ -73,8 +80,7 @@ class Journal:
 
     def forget(self, restored: Sequence[Changed]) -> None:
         """Forget servos that are restored."""
-        gone = {(entry.bus, entry.servo_id) for entry in restored}
-        self._replace([e for e in self.pending() if (e.bus, e.servo_id) not in gone])
+        self._replace([entry for entry in self.pending() if entry not in restored])
 
     def close(self) -> None:
         """Unlock the port."""
@@ -88,31 +94,57 @@ class Journal:
             self.path.unlink(missing_ok=True)
 
 
-def _locked(file: BinaryIO) -> bool:
-    """Whether the file could be locked; a killed process loses its lock."""
-    try:
-        import fcntl
-    except ModuleNotFoundError:  # Windows, where a port is opened only once anyway
-        return True
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True
-
-
 @dataclass(frozen=True)
 class Connection:
-    """An open bus, with the journal of its port."""
+    """An open bus, with its port and the journal of that."""
 
-    bus: ServoBus
+    bus: Bus
+    port: str
     journal: Journal
 
+    def note(self, ids: Iterable[int]) -> list[Changed]:
+        """Note servos in the journal before they are changed, with what is to be restored."""
+        bus = self.bus
+        return self.journal.note([Changed(bus.name, bus.baud, k, bus.saved(k)) for k in ids])
 
-def bus_class(name: str) -> type[ServoBus]:
+    def release(
+        self, changed: Sequence[Changed], others: Iterable[int] = (), *, attempts: int = 2
+    ) -> list[int]:
+        """Stop servos and restore what was changed; identities whose torque may still be on.
+
+        Those stay in the journal. Nothing but the torque was changed in the ``others``.
+        """
+        values: dict[int, Mapping[str, int]] = {servo_id: {} for servo_id in others}
+        values |= {entry.servo_id: entry.values for entry in changed}
+
+        def confirmed(servo_id: int) -> bool:
+            with contextlib.suppress(OSError):
+                return any(self.bus.restore(servo_id, values[servo_id]) for _ in range(attempts))
+            return False
+
+        left = [servo_id for servo_id in values if not confirmed(servo_id)]
+        self.journal.forget([entry for entry in changed if entry.servo_id not in left])
+        return left
+
+
+def bus_class(name: str) -> type[Bus]:
     """The class of a bus; ``InputError`` if there is none with this name."""
     check_choice("--bus", "", name, BUSES)
     return BUSES[name]
+
+
+def ids_of(text: str, kind: type[Bus]) -> list[int]:
+    """The identities in a list such as ``1,2,10-20``, all different ones of a bus."""
+    try:
+        ends = [part.partition("-") for part in text.split(",")]
+        ids = [k for low, _, high in ends for k in range(int(low), int(high or low) + 1)]
+    except ValueError:
+        ids = []
+    largest = kind.protocol.largest_id
+    if not ids or len(set(ids)) != len(ids) or not all(0 <= k <= largest for k in ids):
+        expected = f"different numbers from 0 to {largest}, as 1,2,10-20"
+        raise InputError("--ids", "", text, expected)
+    return ids
 
 
 @contextmanager
@@ -124,47 +156,24 @@ def connection(name: str, port: str, baud: int | None = None) -> Iterator[Connec
         raise InputError("--baud", "", f"{rate}", "a rate above 0, such as 1000000")
     if advice := latency_advice(port):
         print(advice, file=sys.stderr)
-    transport = open_transport(port, baud=rate)
-    try:
-        journal = Journal(port)
-    except InputError:
-        transport.close()
-        raise
-    with closing(journal):
+    with closing(Journal(port)) as journal:
         if pending := journal.pending():
-            transport.close()
             _restore(port, pending, journal)
-            transport = open_transport(port, baud=rate)
-        with closing(kind(transport, rate)) as bus:
-            yield Connection(bus, journal)
-
-
-def release(
-    bus: ServoBus, changed: Mapping[int, Mapping[str, int]], *, attempts: int = 2
-) -> list[int]:
-    """Stop every servo and restore its values; identities whose torque may still be on."""
-
-    def confirmed(servo_id: int) -> bool:
-        with contextlib.suppress(OSError):
-            return any(bus.restore(servo_id, changed[servo_id]) for _ in range(attempts))
-        return False
-
-    return [servo_id for servo_id in changed if not confirmed(servo_id)]
+        with closing(kind(open_transport(port, baud=rate), rate)) as bus:
+            yield Connection(bus, port, journal)
 
 
 def _restore(port: str, pending: Sequence[Changed], journal: Journal) -> None:
     """Restore the servos that an earlier command left changed, and say so in one line."""
     silent = list[int]()
     for name, baud in {(entry.bus, entry.baud): None for entry in pending}:
-        entries = {e.servo_id: e for e in pending if (e.bus, e.baud) == (name, baud)}
+        entries = [entry for entry in pending if (entry.bus, entry.baud) == (name, baud)]
         with closing(bus_class(name)(open_transport(port, baud=baud), baud)) as bus:
-            left = release(bus, {servo_id: entry.values for servo_id, entry in entries.items()})
-        journal.forget([entry for servo_id, entry in entries.items() if servo_id not in left])
-        silent += left
+            silent += Connection(bus, port, journal).release(entries)
     listed = ", ".join(str(entry.servo_id) for entry in pending)
     outcome = "torque off, limits restored"
     if silent:
-        names = ", ".join(str(servo_id) for servo_id in silent)
+        names = ", ".join(map(str, silent))
         outcome = f"no confirmation from {names} (if they are gone, delete {journal.path})"
     print(f"{port}: servos {listed}, left on by an earlier command: {outcome}", file=sys.stderr)
 

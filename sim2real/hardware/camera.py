@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,6 @@ DICTIONARIES = (
 )  # fmt: skip
 View = tuple[Array, Array]
 """Corners of a board in one picture: in pixels (N, 2) and on the board (N, 3)."""
-_PLACE = ("height_m", "x_m", "y_m", "yaw_rad")
 
 
 @dataclass(frozen=True)
@@ -49,43 +48,43 @@ class Plane:
     rotation: Array
     translation: Array
 
+    def raised(self, height_m: float) -> Plane:
+        """The same camera above the plane at a height."""
+        return replace(self, translation=self.translation + height_m * self.rotation[:, 2])
+
     @property
     def position(self) -> Array:
         """Position of the camera in the world, m, shape (3,)."""
-        position: Array = -self.rotation.T @ self.translation
-        return position
+        return np.asarray(-self.rotation.T @ self.translation)
 
-    def world(self, pixels: Array, height: float = 0.0) -> Array:
-        """x, y in m of pixels (N, 2) in the plane z = ``height``, (N, 2), by iteration to 1e-10."""
+    def world(self, pixels: Array) -> Array:
+        """x, y in m of pixels (N, 2) in the plane z = 0, (N, 2), by iteration to 1e-10."""
         import cv2
 
         stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
+        homography = np.column_stack([self.rotation[:, :2], self.translation])
         points = np.asarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
-        matrix, distortion = self.lens.matrix, self.lens.distortion
-        undistorted = cv2.undistortPoints(points, matrix, distortion, None, None, None, stop)
-        rays = np.asarray(undistorted, dtype=np.float64).reshape(-1, 2)
-        right, leftward, up = self.rotation.T
-        homography = np.column_stack([right, leftward, self.translation + height * up])
-        inverse = np.linalg.inv(homography)
-        homogeneous = rays @ inverse[:, :2].T + inverse[:, 2]
-        result: Array = homogeneous[:, :2] / homogeneous[:, 2:]
-        return result
+        back, lens = np.linalg.inv(homography), self.lens
+        found = cv2.undistortPoints(
+            points, lens.matrix, lens.distortion, None, back, np.eye(3), stop
+        )
+        return np.asarray(found, dtype=np.float64).reshape(-1, 2)
 
-    def pixels(self, points: Array, height: float = 0.0) -> Array:
-        """Pixels (N, 2) of points x, y (N, 2) in the plane z = ``height``."""
+    def pixels(self, points: Array) -> Array:
+        """Pixels (N, 2) of points x, y (N, 2) in the plane z = 0."""
         import cv2
 
-        points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
-        level = np.column_stack([points, np.full(len(points), height)])
-        seen = level @ self.rotation.T + self.translation
-        none, lens = np.zeros(3), self.lens
-        pixels, _ = cv2.projectPoints(seen[:, None], none, none, lens.matrix, lens.distortion)
-        return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+        flat = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+        level, lens = np.column_stack([flat, np.zeros(len(flat))]), self.lens
+        seen, _ = cv2.projectPoints(
+            level[:, None], self.rotation, self.translation, lens.matrix, lens.distortion
+        )
+        return np.asarray(seen, dtype=np.float64).reshape(-1, 2)
 
-    def pixels_per_m(self, point: Array, height: float = 0.0, step: float = 0.01) -> float:
+    def pixels_per_m(self, point: Array, step: float = 0.01) -> float:
         """Pixels per metre around x, y (2,), the geometric mean of both directions."""
         around = np.array([[step, 0], [0, step], [0, 0]]) + point
-        ahead, leftward, centre = self.pixels(around, height)
+        ahead, leftward, centre = self.pixels(around)
         edges = np.stack([ahead - centre, leftward - centre])
         return float(np.sqrt(abs(np.linalg.det(edges)))) / step
 
@@ -202,24 +201,22 @@ def read_camera(path: str | os.PathLike[str]) -> Camera:
         raise InputError(path, "pool.corners_px", str(error), "corners seen from above") from None
     if "marker" not in top and "blob" not in top:
         raise InputError(path, "marker", "nothing", "a table [marker] or [blob]")
-    marker = _marker(top.table("marker")) if "marker" in top else None
-    blob = None
+    marker = blob = None
+    if "marker" in top:
+        fields = top.table("marker")
+        name = fields.text("dictionary")
+        if name not in DICTIONARIES:
+            raise fields.error("dictionary", f"one of {', '.join(DICTIONARIES)}")
+        number, count = fields.number("number", low=0), int(dictionary_of(name).bytesList.shape[0])
+        if number != int(number) or number >= count:
+            raise fields.error("number", f"a whole number from 0 to {count - 1}")
+        place = {x: fields.number(x, 0.0) for x in ("height_m", "x_m", "y_m", "yaw_rad")}
+        marker = Marker(name, int(number), fields.number("side_m", above=0), **place)
     if "blob" in top:
         patch = top.table("blob")
         low, high = (_matrix(patch, f"{end}_hsv", (3,)) for end in ("low", "high"))
         blob = Blob(low, high, patch.number("height_m", 0.0))
     return Camera(plane, corners_m, marker, blob)
-
-
-def _marker(fields: Fields) -> Marker:
-    name = fields.text("dictionary")
-    if name not in DICTIONARIES:
-        raise fields.error("dictionary", f"one of {', '.join(DICTIONARIES)}")
-    number, count = fields.number("number", low=0), int(dictionary_of(name).bytesList.shape[0])
-    if number != int(number) or number >= count:
-        raise fields.error("number", f"a whole number from 0 to {count - 1}")
-    place = {name: fields.number(name, 0.0) for name in _PLACE}
-    return Marker(name, int(number), fields.number("side_m", above=0), **place)
 
 
 def _matrix(fields: Fields, name: str, shape: tuple[int | None, ...]) -> Array:

@@ -95,18 +95,13 @@ def crc16(data: bytes) -> int:
     """CRC-16 with polynomial 8005 (hexadecimal), starting at 0, most significant bit first."""
     crc = 0
     for byte in data:
-        crc = (crc << 8 & 0xFFFF) ^ _TABLE[crc >> 8 ^ byte]
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = crc << 1 ^ (0x8005 if crc & 0x8000 else 0)
+        crc &= 0xFFFF
     return crc
 
 
-def _entry(index: int) -> int:
-    crc = index << 8
-    for _ in range(8):
-        crc = crc << 1 ^ (0x8005 if crc & 0x8000 else 0)
-    return crc & 0xFFFF
-
-
-_TABLE = tuple(_entry(index) for index in range(256))
 # the length of LX servos counts itself; manuals of the LX-16A and of Feetech's serial bus servos
 LX = Protocol(b"\x55\x55", 4, 6, 10, 253, uncounted=3)
 FEETECH = Protocol(b"\xff\xff", 4, 6, 256, 253, uncounted=4)
@@ -133,8 +128,8 @@ class FrameDecoder:
         start, end = 0, len(self._waiting)
         while True:
             begin = self._waiting.find(protocol.header, start)
-            if begin < 0:
-                begin = max(end - self._started(), start)
+            if begin < 0:  # the last bytes may be the start of one
+                begin = max(end - len(protocol.header) + 1, start)
             start = begin
             if end - start < protocol.head:
                 break
@@ -155,9 +150,3 @@ class FrameDecoder:
     def clear(self) -> None:
         """Discard an incomplete packet."""
         self._waiting.clear()
-
-    def _started(self) -> int:
-        """Bytes at the end that may be the start of a header."""
-        header = self._protocol.header
-        lengths = range(len(header) - 1, 0, -1)
-        return next((k for k in lengths if self._waiting.endswith(header[:k])), 0)

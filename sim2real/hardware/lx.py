@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from enum import IntEnum
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from sim2real.hardware import frames
 from sim2real.hardware.frames import BROADCAST, Packet, Protocol
@@ -17,12 +18,12 @@ from sim2real.hardware.servo_bus import (
     Cycle,
     Found,
     Reading,
-    Scale,
     ServoBus,
     Stopped,
 )
 
-SCALE = Scale(math.radians(0.24), 500, 0, 1000)
+SERVO = BusServo(0, math.radians(0.24), 500, 0, 1000, ("temperature_C",))
+"""All but the identity of a servo."""
 USUAL_S = 0.0025
 """Typical time of a servo's set-point, request and reply on the wire, with the adapter."""
 
@@ -67,8 +68,8 @@ def is_reply(request: Packet, packet: Packet) -> bool:
 
 def move(servo_id: int, ticks: int) -> Packet:
     """Move to ``ticks``, from 0 to 1000, at the largest speed."""
-    if not 0 <= ticks <= SCALE.largest_ticks:
-        raise ValueError(f"{ticks} ticks is outside 0 to {SCALE.largest_ticks}")
+    if not 0 <= ticks <= SERVO.largest_ticks:
+        raise ValueError(f"{ticks} ticks is outside 0 to {SERVO.largest_ticks}")
     return Packet(servo_id, LxCommand.MOVE_TIME_WRITE, ticks.to_bytes(2, "little") + bytes(2))
 
 
@@ -138,7 +139,7 @@ class LxBus(ServoBus):
             servo_id,
             model="",
             ticks=ticks,
-            angle_rad=None if ticks is None else SCALE.angle(ticks),
+            angle_rad=None if ticks is None else SERVO.angle(ticks),
             supply_V=None if supply is None else number(supply) / 1000,
             temperature_C=None if temperature is None else number(temperature),
             powered=None if powered is None else number(powered) != 0,
@@ -146,32 +147,44 @@ class LxBus(ServoBus):
         )
 
     def servo(self, servo_id: int) -> BusServo:
-        """The scale of a servo, which is the same for all of this family."""
-        return lx_servo(servo_id)
+        """Scale of a servo, the same for all; others raise ``Stopped`` or ``InputError``."""
+        return replace(SERVO, servo_id=servo_id)
+
+    def settings(self, servo_id: int) -> dict[str, Any]:
+        """Settings of a servo, for the recording: this protocol tells none."""
+        return {}
 
     def saved(self, servo_id: int) -> dict[str, int]:
-        """Nothing, of a servo that answers: only the torque changes, which is off in the end."""
+        """What ``begin`` changes and ``restore`` restores, of a servo that must answer: nothing.
+
+        Only the torque changes, which is off in the end.
+        """
         self._required(servo_id, LxCommand.LOAD_READ)
         return {}
 
     def reading(self, servo_id: int) -> Reading:
-        """Position and temperature of a servo that must answer."""
+        """Position and temperature of a servo that must answer; ``Stopped`` if it does not."""
         temperature = self._required(servo_id, LxCommand.TEMP_READ)
         return Reading(self._required(servo_id, LxCommand.POS_READ), temperature_C=temperature)
 
     def begin(self, goals: Mapping[int, int]) -> None:
-        """Hold these set-points (ticks by identity) with the torque on."""
+        """Hold set-points (ticks by identity), torque on, without profile; ``Stopped`` if not."""
         for servo_id, ticks in goals.items():
             if not self._set_load(servo_id, on=True):
                 raise Stopped(f"servo {servo_id} does not switch on")
             self.exchange([move(servo_id, ticks)], time.monotonic())
 
     def cycle(self, goals: Mapping[int, int], deadline: float) -> Cycle:
-        """Send set-points and read each servo, which may take what later ones do not need."""
+        """Send set-points (ticks by identity) and read each servo by ``deadline``.
+
+        A servo may take the time that later ones do not need.
+        """
         self.drain()
         ids = list(goals)
         asked = ids[self._turn // 2 % len(ids)]
-        command = LxCommand.TEMP_READ if self._turn % 2 else LxCommand.VIN_READ
+        command, name, unit = LxCommand.VIN_READ, "supply_V", 1000
+        if self._turn % 2:
+            command, name, unit = LxCommand.TEMP_READ, "temperature_C", 1
         self._turn += 1
         groups = [[move(k, goals[k]), Packet(k, LxCommand.POS_READ)] for k in ids]
         groups.append([Packet(asked, command)])
@@ -188,10 +201,13 @@ class LxBus(ServoBus):
                 round_trips.append(time.monotonic() - sent[-1])
             replies += received
         joints = max(len(groups) - 1, 1)  # the last group of several is the health request
-        readings = (
-            _reading(reply, replies[-1] if servo_id == asked else None)
-            for servo_id, reply in zip(ids, replies[1::2], strict=False)
-        )
+        readings = []
+        for servo_id, reply in zip(ids, replies[1::2], strict=False):
+            told: dict[str, Any] = {}
+            if servo_id == asked and (health := replies[-1]) is not None:
+                told[name] = number(health) / unit
+            ticks = None if reply is None else number(reply)
+            readings.append(Reading(ticks, **told))
         return Cycle(
             sent_s=sum(sent[:joints]) / joints,
             readings=tuple(readings),
@@ -200,7 +216,7 @@ class LxBus(ServoBus):
         )
 
     def restore(self, servo_id: int, saved: Mapping[str, int]) -> bool:
-        """Stop a servo and switch its torque off."""
+        """Stop a servo and switch its torque off; whether it confirmed all."""
         self.drain()
         self.exchange([Packet(servo_id, LxCommand.MOVE_STOP)], time.monotonic())
         return self._set_load(servo_id, on=False)
@@ -210,7 +226,7 @@ class LxBus(ServoBus):
         return self._wire_s(24 * count + 14)
 
     def sample_delay_s(self, count: int) -> float:
-        """Time on the wire of the request for a position, which follows each set-point."""
+        """Time from a set-point to the sampling of the position: the request on the wire."""
         return self._wire_s(6)
 
     def _set_load(self, servo_id: int, *, on: bool) -> bool:
@@ -225,19 +241,3 @@ class LxBus(ServoBus):
     def _required(self, servo_id: int, command: LxCommand) -> int:
         """The number that a servo must answer."""
         return number(self._insist(servo_id, partial(self.ask, servo_id, command, PATIENCE_S)))
-
-
-def lx_servo(servo_id: int) -> BusServo:
-    """An LX servo."""
-    return BusServo(servo_id, SCALE, ("temperature_C",))
-
-
-def _reading(position: Packet | None, health: Packet | None) -> Reading:
-    """A reading from the replies to POS_READ and to VIN_READ or TEMP_READ."""
-    supply = temperature = math.nan
-    if health is not None and health.code == LxCommand.VIN_READ:
-        supply = number(health) / 1000
-    elif health is not None:
-        temperature = float(number(health))
-    ticks = None if position is None else number(position)
-    return Reading(ticks, supply_V=supply, temperature_C=temperature)

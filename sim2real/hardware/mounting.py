@@ -7,48 +7,45 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sim2real.errors import InputError
-from sim2real.hardware.servo_bus import BusServo, Scale, Stopped
+from sim2real.hardware.servo_bus import BusServo, Stopped
 from sim2real.robot import Joint, Robot
 
 
 @dataclass(frozen=True)
-class Mounting:
-    """A servo in its joint: angle = sign (ticks - centre - trim) angle of a tick.
+class Place:
+    """Which servo is in a joint.
 
     The trim is the ticks at angle 0, minus those at the servo's centre; the sign is -1 if servo and
     joint turn in opposite directions.
     """
 
     joint: Joint
+    servo_id: int
+    trim_ticks: int
+    sign: int
+
+
+@dataclass(frozen=True)
+class Mounting(Place):
+    """A servo in its joint: angle = sign (ticks - centre - trim) angle of a tick."""
+
     servo: BusServo
-    trim_ticks: int = 0
-    sign: int = 1
-
-    @property
-    def servo_id(self) -> int:
-        """The servo's identity on the bus."""
-        return self.servo.servo_id
-
-    @property
-    def scale(self) -> Scale:
-        """The servo's ticks."""
-        return self.servo.scale
 
     def angle(self, ticks: int) -> float:
         """Angle of the joint in rad at ``ticks``."""
-        return self.sign * self.scale.angle(ticks - self.trim_ticks)
+        return self.sign * self.servo.angle(ticks - self.trim_ticks)
 
     def ticks(self, angle: float) -> int:
         """The nearest tick to ``angle`` within the joint limits."""
         low, high = self.joint.limits_rad
-        tick = self.scale.tick_rad
+        tick = self.servo.tick_rad
         steps = round(min(max(angle, low), high) / tick)
         steps = min(max(steps, math.ceil(low / tick)), math.floor(high / tick))
-        return self.scale.centre_ticks + self.trim_ticks + self.sign * steps
+        return self.servo.centre_ticks + self.trim_ticks + self.sign * steps
 
     def within(self, ticks: int) -> int:
         """The nearest set-point that the servo accepts."""
-        return min(max(ticks, self.scale.lowest_ticks), self.scale.largest_ticks)
+        return min(max(ticks, self.servo.lowest_ticks), self.servo.largest_ticks)
 
     def check_temperature(self, temperature_C: float, hottest_C: float) -> None:
         """Raise ``Stopped`` if the servo is too hot; NaN is not."""
@@ -57,52 +54,25 @@ class Mounting:
             raise Stopped(f"{found}, above {hottest_C:.0f} C")
 
 
-@dataclass(frozen=True)
-class Wiring:
-    """Which servo is in which joint; by default all joints of the robot, with trims of 0."""
-
-    ids: Sequence[int]
-    joints: Sequence[str] | None = None
-    trim_ticks: Sequence[int] | None = None
-    reverse: Sequence[str] | None = None
-
-    def check(self, robot: Robot, largest_id: int) -> list[str]:
-        """Names of the joints, checked before the port is opened; ``InputError`` if wrong."""
-        names = list(self.joints or [joint.name for joint in robot.joints])
-        known = ", ".join(joint.name for joint in robot.joints)
-        for name in [*names, *(self.reverse or [])]:
-            if robot.joint(name) is None:
-                file = robot.path or robot.name
-                raise InputError(file, "joints", f"no joint {name!r}", f"some of {known}")
-        trims = len(names) if self.trim_ticks is None else len(self.trim_ticks)
-        for option, found in (("--ids", len(self.ids)), ("--trim", trims)):
-            if found != len(names):
-                expected = f"{len(names)}, for {', '.join(names)}"
-                raise InputError(option, "", f"{found} numbers", expected)
-        check_ids(self.ids, largest_id)
-        return names
-
-
-def check_ids(ids: Sequence[int], largest: int) -> None:
-    """Raise ``InputError`` unless identities are different and exist on a bus."""
-    if not ids or len(set(ids)) != len(ids) or not all(0 <= k <= largest for k in ids):
-        given = ", ".join(str(k) for k in ids) or "nothing"
-        raise InputError("--ids", "", given, f"different numbers from 0 to {largest}")
-
-
-def mount(robot: Robot, servos: Sequence[BusServo], wiring: Wiring) -> tuple[Mounting, ...]:
-    """Assign servos to the joints of a robot; ``InputError`` if one does not fit."""
-    names = wiring.check(robot, max(wiring.ids, default=0))
-    mountings = []
-    for name, servo, trim in zip(names, servos, wiring.trim_ticks or [0] * len(names), strict=True):
-        joint = robot.joint(name)
-        assert joint is not None
-        mounting = Mounting(joint, servo, trim, -1 if name in (wiring.reverse or []) else 1)
-        ends = [mounting.angle(servo.scale.lowest_ticks), mounting.angle(servo.scale.largest_ticks)]
-        low, high = joint.limits_rad
-        if low < min(ends) or high > max(ends):
-            limits = f"{low:g} to {high:g} rad for {name}"
-            expected = f"limits that the servo reaches, {min(ends):.3f} to {max(ends):.3f} rad"
-            raise InputError(robot.path or robot.name, "joints.limits_rad", limits, expected)
-        mountings.append(mounting)
-    return tuple(mountings)
+def places(
+    robot: Robot,
+    ids: Sequence[int],
+    joints: Sequence[str] | None = None,
+    trim_ticks: Sequence[int] | None = None,
+    reverse: Sequence[str] | None = None,
+) -> list[Place]:
+    """Places of servos in joints of a robot, by default in all; ``InputError`` if they differ."""
+    names = list(joints or [joint.name for joint in robot.joints])
+    known = {joint.name: joint for joint in robot.joints}
+    for name in [*names, *(reverse or [])]:
+        if name not in known:
+            file, expected = robot.path or robot.name, f"some of {', '.join(known)}"
+            raise InputError(file, "joints", f"no joint {name!r}", expected)
+    trims = [0] * len(names) if trim_ticks is None else trim_ticks
+    for option, given in (("--ids", ids), ("--trim", trims)):
+        if len(given) != len(names):
+            expected = f"{len(names)}, for {', '.join(names)}"
+            raise InputError(option, "", f"{len(given)} numbers", expected)
+    signs = [-1 if name in (reverse or []) else 1 for name in names]
+    wired = zip(names, ids, trims, signs, strict=True)
+    return [Place(known[name], servo_id, trim, sign) for name, servo_id, trim, sign in wired]

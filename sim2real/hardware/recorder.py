@@ -1,24 +1,37 @@
-"""The loop that sends set-points to the servos and records their positions, row by row."""
+"""A recording from beginning to end: motion to the start, set-points and rows, release."""
 
 from __future__ import annotations
 
 import csv
 import math
+import os
+import signal
+import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from sim2real.arrays import Array
 from sim2real.errors import InputError
-from sim2real.hardware.mounting import Mounting
-from sim2real.hardware.servo_bus import Cycle, ServoBus, Stopped, reason
+from sim2real.hardware.buses import Bus, Changed, Connection
+from sim2real.hardware.mounting import Mounting, Place
+from sim2real.hardware.servo_bus import Cycle, Stopped, reason
 from sim2real.output import check_writable, is_stream, write_json
+from sim2real.robot import Robot
+from sim2real.signals import Excitation
 
+RATE_HZ = 50.0
+APPROACH_RAD_S = 0.5
+LARGEST_JUMP_RAD = 0.1
 CONTACT_S = 0.5
 """Time without an answer after which a servo is regarded as lost."""
 BUSY_SHARE = 0.8
@@ -26,6 +39,45 @@ BUSY_SHARE = 0.8
 FEWEST_ROWS = 2  # of a valid recording
 SIGNED = ("velocity_rad_s", "current_A", "load")
 """Quantities that change their sign with the direction of the servo."""
+
+
+@contextmanager
+def interruption() -> Iterator[Callable[[], bool]]:
+    """Context manager of a function: whether a signal, in the main thread, asks to stop."""
+    asked = threading.Event()
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        asked.set()
+
+    names = ("SIGINT", "SIGTERM", "SIGHUP")
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    if threading.current_thread() is not threading.main_thread():
+        numbers = []
+    before = [(number, signal.signal(number, ask)) for number in numbers]
+    try:
+        yield asked.is_set
+    finally:
+        for number, handler in before:
+            signal.signal(number, handler)
+
+
+@contextmanager
+def priority() -> Iterator[None]:
+    """Context manager that gives the calling thread real-time priority, where it is permitted.
+
+    The bus is then in time on a loaded computer. Linux requires root or a limit on ``rtprio``.
+    """
+    granted = False
+    if sys.platform == "linux":
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
+            granted = True
+    try:
+        yield
+    finally:
+        if granted:
+            os.sched_setscheduler(0, *before)
 
 
 @dataclass
@@ -65,6 +117,7 @@ class Run:
         """What is written, for a message."""
         return f"{self.rows} rows in {out}" if self.rows >= FEWEST_ROWS else "nothing written"
 
+    @property
     def late_999_s(self) -> float:
         """Delay that 99.9 % of the cycles did not exceed, in s."""
         return float(np.quantile(self.late_s, 0.999)) if self.late_s else 0.0
@@ -76,7 +129,7 @@ class Run:
             "missing_positions": self.missing,
             "lost_set_points": self.lost,
             "skipped_set_points": self.skipped,
-            "late_999_s": round(self.late_999_s(), 6),
+            "late_999_s": round(self.late_999_s, 6),
             "stopped": self.stopped,
         }
 
@@ -135,16 +188,15 @@ def columns(mountings: Sequence[Mounting]) -> list[str]:
 
 def record(
     run: Run,
-    bus: ServoBus,
+    bus: Bus,
     command: Array,
     write: Callable[[Sequence[float]], None],
     *,
-    rate_hz: float,
     hottest_C: float,
     interrupted: Callable[[], bool] = lambda: False,
     progress: Callable[[int], object] = lambda _: None,
 ) -> None:
-    """Send the set-points (T, J) in rad at a regular rate and write one row for each.
+    """Send the set-points (T, J) in rad at ``RATE_HZ`` and write one row for each.
 
     Cycle k starts k periods after the first, regardless of the previous cycles. Where a servo
     reports the set-point in effect, that is recorded: a set-point that was lost on the way did not
@@ -152,9 +204,9 @@ def record(
     port or servo, heat or an interrupt stops it. ``progress`` is called with the number of
     set-points since its last call.
     """
-    period = 1 / rate_hz
+    period = 1 / RATE_HZ
     start = time.monotonic() + period
-    answered_s = [start] * len(run.mountings)
+    answered_s = dict.fromkeys(run.missing, start)
     k = 0
     try:
         while k < len(command):
@@ -168,7 +220,16 @@ def record(
             cycle = bus.cycle(goals, due + BUSY_SHARE * period)
             write(_row(cycle, goals, start, run.mountings))
             run.rows += 1
-            _check(cycle, goals, answered_s, run, hottest_C)
+            for mounting, reading in zip(run.mountings, cycle.readings, strict=True):
+                name = mounting.joint.name
+                if reading.position_ticks is not None:
+                    answered_s[name] = cycle.sent_s
+                else:
+                    run.missing[name] += 1
+                    if cycle.sent_s - answered_s[name] > CONTACT_S:
+                        raise Stopped(f"no reply from {name}'s servo for {CONTACT_S:g} s")
+                run.lost[name] += reading.goal_ticks not in (None, goals[mounting.servo_id])
+                mounting.check_temperature(reading.temperature_C, hottest_C)
             after = max(k + 1, math.ceil((time.monotonic() - start) / period - 0.5))
             run.skipped += min(after, len(command)) - (k + 1)
             progress(after - k)
@@ -199,17 +260,115 @@ def _row(
     ]
 
 
-def _check(
-    cycle: Cycle, goals: dict[int, int], answered_s: list[float], run: Run, hottest_C: float
+def mounted(bus: Bus, robot: Robot, servos: Sequence[Place]) -> tuple[Mounting, ...]:
+    """The servos in their joints, with the scales that they report.
+
+    ``Stopped`` if a servo does not answer, ``InputError`` if its model is unknown, it does not
+    control its position or does not fit its joint, or if the rate of the bus is too slow.
+    """
+    mountings = tuple(Mounting(**vars(one), servo=bus.servo(one.servo_id)) for one in servos)
+    for mounting in mountings:
+        joint, servo = mounting.joint, mounting.servo
+        ends = [mounting.angle(servo.lowest_ticks), mounting.angle(servo.largest_ticks)]
+        low, high = joint.limits_rad
+        if low < min(ends) or high > max(ends):
+            limits = f"{low:g} to {high:g} rad for {joint.name}"
+            expected = f"limits that the servo reaches, {min(ends):.3f} to {max(ends):.3f} rad"
+            raise InputError(robot.path or robot.name, "joints.limits_rad", limits, expected)
+    takes, longest = bus.cycle_s(len(mountings)), BUSY_SHARE / RATE_HZ
+    if takes > longest:
+        found = f"{bus.baud} baud, {1e3 * takes:.1f} ms to address {len(mountings)} servos"
+        raise InputError("--baud", "", found, f"at most {1e3 * longest:.0f} ms: a faster rate")
+    return mountings
+
+
+def drive(
+    connection: Connection,
+    robot: Robot,
+    servos: Sequence[Place],
+    played: Excitation,
+    out: Path,
+    sidecar: dict[str, Any],
+    *,
+    hottest_C: float,
+) -> Run:
+    """Move to the start, record, and release the servos in any case.
+
+    What is changed in the servos is noted in the port's journal before, so that after a kill the
+    next command on the port restores it. Port, wiring, settings of the servos and the outcome are
+    added to ``sidecar``, which is written beside ``out``. ``InputError`` and ``Stopped`` before
+    anything is changed, as of ``mounted``.
+    """
+    bus, mountings = connection.bus, mounted(connection.bus, robot, servos)
+    ids = [mounting.servo_id for mounting in mountings]
+    sidecar["bus"] = {
+        "name": bus.name,
+        "port": connection.port,
+        "baud": bus.baud,
+        "ids": ids,
+        "trim_ticks": [mounting.trim_ticks for mounting in mountings],
+        "sign": [mounting.sign for mounting in mountings],
+        "servos": [bus.settings(servo_id) for servo_id in ids],
+    }
+    delay = round(bus.sample_delay_s(len(mountings)), 6)
+    sidecar["context"] = {**sidecar.get("context", {}), "sample_delay_s": delay}
+    run, changed = Run(mountings), list[Changed]()
+    with interruption() as interrupted:
+        limits: dict[str, Any] = {"hottest_C": hottest_C, "interrupted": interrupted}
+        try:
+            changed = connection.note(ids)
+            approach(bus, mountings, [float(angle) for angle in played.command[0]], **limits)
+            sidecar["started"] = datetime.now(UTC).isoformat(timespec="milliseconds")
+            bar = tqdm(total=played.t.size, desc="record", unit="row", disable=None)
+            with row_file(out, columns(mountings), sidecar) as write, bar:
+                record(run, bus, played.command, write, progress=bar.update, **limits)
+                sidecar["outcome"] = run.summary()
+        except (Stopped, OSError) as error:
+            run.stopped = reason(error)
+        finally:
+            left = connection.release(changed, ids)
+            run.unreleased = [mounting for mounting in mountings if mounting.servo_id in left]
+    return run
+
+
+def approach(
+    bus: Bus,
+    mountings: Sequence[Mounting],
+    target: Sequence[float],
+    *,
+    hottest_C: float,
+    interrupted: Callable[[], bool],
+    settle_s: float = 0.5,
+    period_s: float = 0.02,
 ) -> None:
-    """Count what is missing, and stop if a servo is lost or too hot."""
-    for j, (mounting, reading) in enumerate(zip(run.mountings, cycle.readings, strict=True)):
-        name = mounting.joint.name
-        if reading.position_ticks is not None:
-            answered_s[j] = cycle.sent_s
-        else:
-            run.missing[name] += 1
-            if cycle.sent_s - answered_s[j] > CONTACT_S:
-                raise Stopped(f"no reply from {name}'s servo for {CONTACT_S:g} s")
-        run.lost[name] += reading.goal_ticks not in (None, goals[mounting.servo_id])
+    """Move every joint slowly to its first set-point in rad, and wait until it is at rest.
+
+    ``Stopped`` if a servo does not answer, is above ``hottest_C`` or outside of its range, to whose
+    end it would jump, or the user has asked to stop; ``OSError`` if the port is lost.
+    """
+    start, ways = {}, {}
+    for mounting, angle in zip(mountings, target, strict=True):
+        reading = bus.reading(mounting.servo_id)
         mounting.check_temperature(reading.temperature_C, hottest_C)
+        assert reading.position_ticks is not None
+        ticks, servo = reading.position_ticks, mounting.servo
+        if abs(mounting.within(ticks) - ticks) * servo.tick_rad > LARGEST_JUMP_RAD:
+            ends = f"{servo.lowest_ticks} to {servo.largest_ticks} ticks"
+            found = f"{mounting.joint.name}'s servo is at {ticks} ticks"
+            raise Stopped(f"{found}, outside its range of {ends}: turn it by hand")
+        start[mounting.servo_id] = ticks
+        ways[mounting.servo_id] = mounting.ticks(angle) - ticks
+
+    def goals(share: float) -> dict[int, int]:
+        ids = {m.servo_id: m for m in mountings}
+        return {k: m.within(start[k] + round(share * ways[k])) for k, m in ids.items()}
+
+    bus.begin(goals(0.0))
+    fastest = APPROACH_RAD_S / min(mounting.servo.tick_rad for mounting in mountings)
+    longest = max(abs(way) for way in ways.values()) / fastest
+    begin = time.monotonic()
+    while (now := time.monotonic() - begin) < longest + settle_s:
+        if interrupted():
+            raise Stopped("interrupted")
+        bus.cycle(goals(min(now / longest, 1.0) if longest else 1.0), time.monotonic() + period_s)
+        time.sleep(max(begin + now + period_s - time.monotonic(), 0.0))

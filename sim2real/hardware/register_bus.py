@@ -26,12 +26,8 @@ from sim2real.hardware.servo_bus import (
 )
 from sim2real.hardware.transport import Transport
 
-FIRST_SHARE = 0.7
-"""Share of a cycle's time after which an answer counts as missing."""
 TURNS = 7
 """Turns to each side that are used of servos that do several."""
-ADAPTER_S = 0.003
-"""Longest usual time of adapter and servo besides the time on the wire."""
 ALERT = 0x80
 """Bit of a Dynamixel's error number: the register of hardware errors is not 0."""
 _SCAN = ("present_position", "present_voltage", "present_temperature")
@@ -56,10 +52,6 @@ class RegisterBus(ServoBus):
     def _data(self, packet: Packet, servo_id: int) -> bytes | None:
         """The data of an answer of this servo without an error; None for any other packet."""
 
-    @abstractmethod
-    def _ask_number(self, servo_id: int, within_s: float) -> int | None:
-        """The number of the servo's model, or None if it does not answer; one request."""
-
     def answers(self, servo_id: int, patience_s: float) -> bool:
         """Whether a servo has this identity; one request."""
         return self._ask_number(servo_id, patience_s) is not None
@@ -75,7 +67,22 @@ class RegisterBus(ServoBus):
         for names in (_SCAN, (TORQUE,), ("errors",), ("min_voltage",), ("max_voltage",)):
             data = self._insisted(partial(self._block, servo_id, names, patience_s))
             values |= {} if data is None else self.layout.decode(names, data)
-        return model.found(servo_id, values)
+        bits, low = values.get("errors", 0), values.get("min_voltage", 0)
+        high, tenths = values.get("max_voltage", math.inf), values.get("present_voltage")
+        errors = [what for bit, what in self.layout.errors.items() if bits >> bit & 1]
+        if tenths is not None and not low <= tenths <= high:
+            errors.append(f"supply outside {low / 10:.1f} to {high / 10:.1f} V")
+        ticks = values.get("present_position")
+        return Found(
+            servo_id,
+            model=model.name,
+            ticks=ticks,
+            angle_rad=None if ticks is None else model.servo(servo_id).angle(ticks),
+            supply_V=None if tenths is None else tenths / 10,
+            temperature_C=values.get("present_temperature"),
+            powered=None if TORQUE not in values else values[TORQUE] != 0,
+            errors=tuple(errors),
+        )
 
     def servo(self, servo_id: int) -> BusServo:
         """Model and scale of a servo, which must control its position."""
@@ -89,7 +96,7 @@ class RegisterBus(ServoBus):
         if mode in self.layout.multi_turn_modes or low == high:
             turns = TURNS * math.floor(model.ticks_per_turn)
             low, high = model.centre_ticks - turns, model.centre_ticks + turns
-        return BusServo(servo_id, model.scale(low, high), model.quantities)
+        return model.servo(servo_id, low, high)
 
     def settings(self, servo_id: int) -> dict[str, Any]:
         """Settings of a servo: registers by name, and its gains in the manual's units."""
@@ -128,19 +135,14 @@ class RegisterBus(ServoBus):
         data = {servo_id: goal.encode(ticks) for servo_id, ticks in goals.items()}
         write = self._sync_write(goal.address, data)
         begin = time.monotonic()
-        least = self.cycle_s(len(goals)) + ADAPTER_S
-        until = min(begin + max(FIRST_SHARE * (deadline - begin), least), deadline)
         start, count = self.layout.span(self.layout.reported)
         request = self._sync_read(ids, start, count)
-        blocks = self._answers(write, request, ids, count, until)
+        blocks = self._answers(write, request, ids, count, deadline)
         answered_s = time.monotonic()
-        held = self._goals_held([k for k, block in blocks.items() if block is None], deadline)
         answered = any(block is not None for block in blocks.values())
         readings = (
-            Reading(goal_ticks=held.get(servo_id))
-            if (block := blocks[servo_id]) is None
-            else self._model(servo_id).reading(block)
-            for servo_id in goals
+            Reading() if block is None else self._model(k).reading(block)
+            for k, block in blocks.items()
         )
         return Cycle(
             sent_s=begin + self._wire_s(len(write)),
@@ -168,11 +170,6 @@ class RegisterBus(ServoBus):
     def sample_delay_s(self, count: int) -> float:
         """Time on the wire of the request for the positions, which follows the set-points."""
         return self._wire_s(len(self._sync_read(range(count), 0, 1)))
-
-    def ask(self, servo_id: int, address: int, count: int, within_s: float) -> bytes | None:
-        """Bytes of the memory of a servo, or None; one request."""
-        request = self._instruction(servo_id, Instruction.READ, (address, count))
-        return self._exchange(request, servo_id, count, within_s)
 
     def set(self, servo_id: int, name: str, value: int) -> bool:
         """Write a register until it reads so; whether it does. ``ValueError`` in the EEPROM."""
@@ -210,7 +207,14 @@ class RegisterBus(ServoBus):
         self, servo_id: int, names: Sequence[str], within_s: float = PATIENCE_S
     ) -> bytes | None:
         """The smallest block of the memory with these registers; one request."""
-        return self.ask(servo_id, *self.layout.span(names), within_s)
+        start, count = self.layout.span(names)
+        request = self._instruction(servo_id, Instruction.READ, (start, count))
+        return self._exchange(request, servo_id, count, within_s)
+
+    def _ask_number(self, servo_id: int, within_s: float) -> int | None:
+        """The number of the servo's model, or None if it does not answer; one request."""
+        data = self._block(servo_id, ["model"], within_s)
+        return None if data is None else self.layout["model"].decode(data)
 
     @property
     def _restored(self) -> tuple[str, ...]:
@@ -226,18 +230,6 @@ class RegisterBus(ServoBus):
             if not self.set(servo_id, name, value):
                 raise Stopped(f"servo {servo_id} does not accept {value} as its {name}")
 
-    def _goals_held(self, ids: Sequence[int], deadline: float) -> dict[int, int]:
-        """Set-points in effect of servos whose answer is missing; positions would be too late."""
-        held, register = {}, self.layout["goal_position"]
-        for after, servo_id in zip(reversed(range(len(ids))), ids, strict=True):
-            patience = (deadline - time.monotonic()) / (after + 1)
-            if patience <= self._wire_s(3 * (register.size + self.answer_bytes)):
-                continue
-            data = self.ask(servo_id, register.address, register.size, patience)
-            if data is not None:
-                held[servo_id] = register.decode(data)
-        return held
-
     def _exchange(self, request: bytes, servo_id: int, count: int, within_s: float) -> bytes | None:
         self.drain()
         deadline = time.monotonic() + within_s + self._wire_s(len(request))
@@ -249,14 +241,11 @@ class RegisterBus(ServoBus):
         """Answers with ``count`` bytes of data; the request's own echo is none."""
         echoes = FrameDecoder(self.protocol).feed(request)
 
-        def expected(servo_id: int) -> Callable[[Packet], bool]:
-            def fits(packet: Packet) -> bool:
-                data = self._data(packet, servo_id)
-                return data is not None and len(data) == count and packet not in echoes
+        def fits(servo_id: int, packet: Packet) -> bool:
+            data = self._data(packet, servo_id)
+            return data is not None and len(data) == count and packet not in echoes
 
-            return fits
-
-        replies = self.transfer(write + request, [expected(k) for k in ids], deadline)
+        replies = self.transfer(write + request, [partial(fits, k) for k in ids], deadline)
         pairs = zip(ids, replies, strict=True)
         return {k: None if reply is None else self._data(reply, k) for k, reply in pairs}
 
@@ -272,9 +261,8 @@ class RegisterBus(ServoBus):
 
     def _value(self, servo_id: int, name: str) -> int:
         """A register of a servo that must answer."""
-        return self.layout[name].decode(
-            self._agreed(servo_id, lambda: self._block(servo_id, [name]))
-        )
+        data = self._agreed(servo_id, lambda: self._block(servo_id, [name]))
+        return self.layout[name].decode(data)
 
     def _agreed(self, servo_id: int, ask: Callable[[], T | None]) -> T:
         """The first of two successive answers that agree: a checksum of one byte may err."""
@@ -304,11 +292,6 @@ class DynamixelBus(RegisterBus):
             return None
         return packet.parameters[1:]
 
-    def _ask_number(self, servo_id: int, within_s: float) -> int | None:
-        ping = self._instruction(servo_id, Instruction.PING, ())
-        data = self._exchange(ping, servo_id, 3, within_s)
-        return None if data is None else int.from_bytes(data[:2], "little")
-
 
 class FeetechBus(RegisterBus):
     """Feetech servos of the STS and SMS series."""
@@ -324,7 +307,3 @@ class FeetechBus(RegisterBus):
     def _data(self, packet: Packet, servo_id: int) -> bytes | None:
         # the error byte tells the servo's state (voltage, load, ...); the data are valid
         return packet.parameters if packet.servo_id == servo_id else None
-
-    def _ask_number(self, servo_id: int, within_s: float) -> int | None:
-        data = self._block(servo_id, ["model"], within_s)
-        return None if data is None else self.layout["model"].decode(data)

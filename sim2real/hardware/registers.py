@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
-from sim2real.hardware.servo_bus import Found, Reading, Scale
+from sim2real.hardware.servo_bus import BusServo, Reading
 
 
 @dataclass(frozen=True)
@@ -83,58 +83,34 @@ def _signed(address: int, size: int) -> Register:
 
 TORQUE = "torque_enable"
 _REPORTED = (
-    "goal_position",
-    "present_position",
-    "present_velocity",
-    "present_load",
-    "present_voltage",
+    "goal_position", "present_position", "present_velocity", "present_load", "present_voltage",
     "present_temperature",
-)
-_SETTINGS = ("return_delay", "status_level", "position_p", "position_i", "position_d")
+)  # fmt: skip
+_SETTINGS = (
+    "firmware", "return_delay", "status_level", "position_p", "position_i", "position_d",
+    "operating_mode", "profile_velocity", "profile_acceleration",
+)  # fmt: skip
 LAYOUTS: Mapping[str, Layout] = {
     # DYNAMIXEL X and MX (Protocol 2.0), control table of the e-Manual
     "dynamixel": Layout(
         registers={
-            "model": Register(0, 2),
-            "firmware": Register(6, 1),
-            "servo_id": Register(7, 1),
-            "baud": Register(8, 1),
-            "return_delay": Register(9, 1),
-            "drive_mode": Register(10, 1),
-            "operating_mode": Register(11, 1),
-            "homing_offset": _signed(20, 4),
-            "max_temperature": Register(31, 1),
-            "max_voltage": Register(32, 2),
-            "min_voltage": Register(34, 2),
-            "max_position": _signed(48, 4),
-            "min_position": _signed(52, 4),
-            TORQUE: Register(64, 1),
-            "status_level": Register(68, 1),
-            "errors": Register(70, 1),
-            "position_d": Register(80, 2),
-            "position_i": Register(82, 2),
-            "position_p": Register(84, 2),
-            "bus_watchdog": _signed(98, 1),
-            "profile_acceleration": Register(108, 4),
-            "profile_velocity": Register(112, 4),
-            "goal_position": _signed(116, 4),
-            "present_load": _signed(126, 2),
-            "present_velocity": _signed(128, 4),
-            "present_position": _signed(132, 4),
-            "present_voltage": Register(144, 2),
-            "present_temperature": Register(146, 1),
+            "model": Register(0, 2), "firmware": Register(6, 1), "servo_id": Register(7, 1),
+            "baud": Register(8, 1), "return_delay": Register(9, 1), "drive_mode": Register(10, 1),
+            "operating_mode": Register(11, 1), "homing_offset": _signed(20, 4),
+            "max_temperature": Register(31, 1), "max_voltage": Register(32, 2),
+            "min_voltage": Register(34, 2), "max_position": _signed(48, 4),
+            "min_position": _signed(52, 4), TORQUE: Register(64, 1),
+            "status_level": Register(68, 1), "errors": Register(70, 1),
+            "position_d": Register(80, 2), "position_i": Register(82, 2),
+            "position_p": Register(84, 2), "bus_watchdog": _signed(98, 1),
+            "profile_acceleration": Register(108, 4), "profile_velocity": Register(112, 4),
+            "goal_position": _signed(116, 4), "present_load": _signed(126, 2),
+            "present_velocity": _signed(128, 4), "present_position": _signed(132, 4),
+            "present_voltage": Register(144, 2), "present_temperature": Register(146, 1),
         },
         volatile_from=64,
         reported=_REPORTED,
-        settings=(
-            "firmware",
-            *_SETTINGS,
-            "drive_mode",
-            "operating_mode",
-            "homing_offset",
-            "profile_velocity",
-            "profile_acceleration",
-        ),
+        settings=(*_SETTINGS, "drive_mode", "homing_offset"),
         changed={"bus_watchdog": 25, "profile_velocity": 0, "profile_acceleration": 0},
         position_modes={3: "position", 4: "extended position", 5: "current-based position"},
         errors={0: "voltage", 2: "temperature", 3: "encoder", 4: "electrical", 5: "overload"},
@@ -144,55 +120,31 @@ LAYOUTS: Mapping[str, Layout] = {
     # Feetech STS and SMS, memory table of the STS series
     "feetech": Layout(
         registers={
-            "firmware": Register(0, 2),
-            "model": Register(3, 2),
-            "servo_id": Register(5, 1),
-            "baud": Register(6, 1),
-            "return_delay": Register(7, 1),
-            "status_level": Register(8, 1),
-            "min_position": Register(9, 2),
-            "max_position": Register(11, 2),
-            "max_temperature": Register(13, 1),
-            "max_voltage": Register(14, 1),
-            "min_voltage": Register(15, 1),
-            "max_torque": Register(16, 2),
-            "position_p": Register(21, 1),
-            "position_d": Register(22, 1),
-            "position_i": Register(23, 1),
-            TORQUE: Register(40, 1),
-            "goal_position": Register(42, 2, sign_bit=15),
+            "firmware": Register(0, 2), "model": Register(3, 2), "servo_id": Register(5, 1),
+            "baud": Register(6, 1), "return_delay": Register(7, 1), "status_level": Register(8, 1),
+            "min_position": Register(9, 2), "max_position": Register(11, 2),
+            "max_temperature": Register(13, 1), "max_voltage": Register(14, 1),
+            "min_voltage": Register(15, 1), "max_torque": Register(16, 2),
+            "position_p": Register(21, 1), "position_d": Register(22, 1),
+            "position_i": Register(23, 1), "position_offset": Register(31, 2, sign_bit=11),
+            "operating_mode": Register(33, 1), TORQUE: Register(40, 1),
+            "profile_acceleration": Register(41, 1), "goal_position": Register(42, 2, sign_bit=15),
             "profile_velocity": Register(46, 2, sign_bit=15),
             "present_position": Register(56, 2, sign_bit=15),
             "present_velocity": Register(58, 2, sign_bit=15),
-            "present_load": Register(60, 2, sign_bit=10),
-            "present_voltage": Register(62, 1),
-            "present_temperature": Register(63, 1),
-            "errors": Register(65, 1),
-            "position_offset": Register(31, 2, sign_bit=11),
-            "operating_mode": Register(33, 1),
-            "profile_acceleration": Register(41, 1),
+            "present_load": Register(60, 2, sign_bit=10), "present_voltage": Register(62, 1),
+            "present_temperature": Register(63, 1), "errors": Register(65, 1),
             "present_current": Register(69, 2, sign_bit=15),
         },
         volatile_from=40,
         reported=(*_REPORTED, "present_current"),
-        settings=(
-            "firmware",
-            *_SETTINGS,
-            "max_torque",
-            "profile_velocity",
-            "position_offset",
-            "operating_mode",
-            "profile_acceleration",
-        ),
+        settings=(*_SETTINGS, "max_torque", "position_offset"),
         changed={"profile_velocity": 0, "profile_acceleration": 0},
         position_modes={0: "position"},
         errors={0: "voltage", 1: "sensor", 2: "temperature", 3: "current", 5: "overload"},
     ),
-}
+}  # fmt: skip
 """By the name of the bus."""
-
-
-_FILE = Path(__file__).with_name("servo_models.toml")
 
 
 @dataclass(frozen=True)
@@ -228,12 +180,12 @@ class ServoModel:
     @property
     def velocity_unit_rad_s(self) -> float:
         """Unit of its velocities."""
-        return self.layout.velocity_unit_rad_s or self.scale(0, 0).tick_rad
+        return self.layout.velocity_unit_rad_s or 2 * math.pi / self.ticks_per_turn
 
-    def scale(self, lowest_ticks: int, largest_ticks: int) -> Scale:
-        """Conversion of its ticks, with the range of set-points that it accepts."""
-        tick_rad = 2 * math.pi / self.ticks_per_turn
-        return Scale(tick_rad, self.centre_ticks, lowest_ticks, largest_ticks)
+    def servo(self, servo_id: int, lowest_ticks: int = 0, largest_ticks: int = 0) -> BusServo:
+        """A servo of this model, with the range of set-points that it accepts."""
+        tick_rad, ends = 2 * math.pi / self.ticks_per_turn, (lowest_ticks, largest_ticks)
+        return BusServo(servo_id, tick_rad, self.centre_ticks, *ends, self.quantities)
 
     def rating(self, supply_V: float) -> Rating | None:
         """The ratings at the voltage nearest to a supply."""
@@ -250,46 +202,25 @@ class ServoModel:
     def reading(self, data: bytes) -> Reading:
         """Present values in physical units, from the block of the layout's ``reported``."""
         values = self.layout.decode(self.layout.reported, data)
-        current = load = math.nan
+        current, load = math.nan, values["present_load"]
         if self.current_unit_A is not None:  # in some servos, one register for either
-            drive = values.get("present_current", values["present_load"])
-            current = drive * self.current_unit_A
-        if "load" in self.quantities:
-            load = values["present_load"] / 1000
+            current = values.get("present_current", load) * self.current_unit_A
         return Reading(
             position_ticks=values["present_position"],
             goal_ticks=values["goal_position"],
             velocity_rad_s=values["present_velocity"] * self.velocity_unit_rad_s,
             current_A=current,
-            load=load,
+            load=load / 1000 if "load" in self.quantities else math.nan,
             supply_V=values["present_voltage"] / 10,
             temperature_C=float(values["present_temperature"]),
-        )
-
-    def found(self, servo_id: int, values: Mapping[str, int]) -> Found:
-        """The state of a servo, from the registers that were read."""
-        ticks, tenths = values.get("present_position"), values.get("present_voltage")
-        bits, powered = values.get("errors", 0), values.get(TORQUE)
-        errors = [what for bit, what in self.layout.errors.items() if bits >> bit & 1]
-        low, high = values.get("min_voltage", 0), values.get("max_voltage", math.inf)
-        if tenths is not None and not low <= tenths <= high:
-            errors.append(f"supply outside {low / 10:.1f} to {high / 10:.1f} V")
-        return Found(
-            servo_id,
-            model=self.name,
-            ticks=ticks,
-            angle_rad=None if ticks is None else self.scale(0, 0).angle(ticks),
-            supply_V=None if tenths is None else tenths / 10,
-            temperature_C=values.get("present_temperature"),
-            powered=None if powered is None else powered != 0,
-            errors=tuple(errors),
         )
 
 
 @cache
 def servo_models(bus: str | None = None) -> tuple[ServoModel, ...]:
     """All known models, or those of a bus."""
-    content = tomllib.loads(_FILE.read_text(encoding="utf-8"))
+    file = Path(__file__).with_name("servo_models.toml")
+    content = tomllib.loads(file.read_text(encoding="utf-8"))
     models = []
     for entry in content["models"]:
         values = content["buses"][entry["bus"]] | entry

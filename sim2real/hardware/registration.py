@@ -54,25 +54,17 @@ def darkness(ink: Array, row: Array, column: Array, blur: float) -> Array:
     return result
 
 
-@dataclass(frozen=True)
-class _Pattern:
-    """A marker at one angle: grey levels from 0 to 1; 1 within the print and its margin."""
-
-    yaw: float
-    shown: Array32
-    mask: Array32
-
-
 class Finder:
     """Finds one marker in grey frames of one camera."""
 
     def __init__(self, plane: Plane, marker: Marker) -> None:
-        self.plane, self.ink, self.height_m = plane, marker.ink(), marker.height_m
+        self.plane, self.ink = plane.raised(marker.height_m), marker.ink()
         self.side_m, self.cell_m = marker.side_m, marker.side_m / len(self.ink)
-        self._middle = (np.array(plane.lens.size_px) - 1) // 2
-        side_px = self.side_m * self._pixels_per_m(self._world(self._middle[None])[0])
+        middle = (np.array(plane.lens.size_px) - 1) // 2
+        side_px = self.side_m * self.plane.pixels_per_m(self.plane.world(middle[None])[0])
         self._shrink = max(1.0, side_px / SHRUNK_PX)
-        self._patterns = self._rendered(side_px)
+        self._yaws = np.arange(24) * 2 * np.pi / 24
+        self._patterns = self._rendered(side_px, middle)
 
     def register(self, frame: Picture, pose: Array, blur_m: float | None = None) -> Sighting | None:
         """Fit the print to a grey ``frame`` (V, U) from a pose within half a cell and 10 degrees.
@@ -82,7 +74,7 @@ class Finder:
         """
         from scipy.optimize import least_squares
 
-        scale = self._pixels_per_m(pose[:2])
+        scale = self.plane.pixels_per_m(pose[:2])
         patch = self._patch(frame, pose, scale)
         if patch is None or patch[0].size < 24:
             return None
@@ -132,11 +124,13 @@ class Finder:
         if self._shrink > 1:
             width, height = np.maximum(np.round(np.array(part.shape[::-1]) / self._shrink), 1)
             part = cv2.resize(part, (int(width), int(height)), interpolation=cv2.INTER_AREA)
-        grey, size = part.astype(np.float32), len(self._patterns[0].shown)
+        grey, size = part.astype(np.float32), len(self._patterns[0][0])
         if min(grey.shape) < size:
             return np.empty((0, 3))
-        method = cv2.TM_CCOEFF_NORMED
-        matched = [cv2.matchTemplate(grey, p.shown, method, mask=p.mask) for p in self._patterns]
+        matched = [
+            cv2.matchTemplate(grey, shown, cv2.TM_CCOEFF_NORMED, mask=mask)
+            for shown, mask in self._patterns
+        ]
         likeness = np.nan_to_num(matched, posinf=0.0, neginf=0.0)
         best = likeness.max(axis=0)
         peak = (best >= cv2.dilate(best, np.ones((5, 5), np.uint8))) & (best > 0)
@@ -145,26 +139,28 @@ class Finder:
         rows, columns = rows[order], columns[order]
         centres = np.column_stack([columns, rows]) + (size - 1) / 2
         pixels = ((centres + 0.5) * self._shrink - 0.5 + (left, top)).astype(np.float64)
-        yaws = np.array([pattern.yaw for pattern in self._patterns])
         turned = likeness.argmax(axis=0)[rows, columns]
-        return np.column_stack([self._world(pixels), yaws[turned]])
+        return np.column_stack([self.plane.world(pixels), self._yaws[turned]])
 
-    def _rendered(self, side_px: float) -> list[_Pattern]:
-        """The marker in the frame's middle at all angles."""
+    def _rendered(self, side_px: float, middle: NDArray[Any]) -> list[tuple[Array32, Array32]]:
+        """The marker at all angles in the frame's middle.
+
+        Grey levels from 0 to 1, and 1 within the print and its margin.
+        """
         cells, quiet = len(self.ink), 0.6
         radius = int(np.ceil(side_px / self._shrink * (0.5 + quiet / cells) * np.sqrt(2)))
         v, u = np.mgrid[-radius : radius + 1, -radius : radius + 1].astype(np.float64)
         around = np.column_stack([u.ravel(), v.ravel()])
-        spots = self._world(self._middle + self._shrink * around)
-        centre = self._world(self._middle[None])[0]
+        spots = self.plane.world(middle + self._shrink * around)
+        centre = self.plane.world(middle[None])[0]
         blur = USUAL_BLUR_PX * cells / min(side_px, SHRUNK_PX)
         rendered = []
-        for yaw in np.arange(24) * 2 * np.pi / 24:
+        for yaw in self._yaws:
             ahead, leftward = self._in_cells(spots, np.array([*centre, yaw]))
             dark = darkness(self.ink, cells / 2 - ahead, cells / 2 - leftward, blur)
             within = np.maximum(np.abs(ahead), np.abs(leftward)) < cells / 2 + quiet
             shown, mask = (x.reshape(u.shape).astype(np.float32) for x in (1 - dark, within))
-            rendered.append(_Pattern(float(yaw), shown, mask))
+            rendered.append((shown, mask))
         return rendered
 
     def _in_cells(self, spots: Array, pose: Array) -> tuple[Array, Array]:
@@ -173,16 +169,10 @@ class Finder:
         east, north = ((spots - pose[:2]) / self.cell_m).T
         return c * east + s * north, c * north - s * east
 
-    def _world(self, pixels: Array) -> Array:
-        return self.plane.world(pixels, self.height_m)
-
-    def _pixels_per_m(self, point: Array) -> float:
-        return self.plane.pixels_per_m(point, self.height_m)
-
     def _patch(self, frame: Picture, pose: Array, scale: float) -> tuple[Array, Array] | None:
         """Grey levels (N,) of the pixels around a pose, and their positions in the plane (N, 2)."""
         reach = (self.side_m / 2 + 2 * self.cell_m) * np.sqrt(2) * scale
-        centre = self.plane.pixels(pose[None, :2], self.height_m)[0]
+        centre = self.plane.pixels(pose[None, :2])[0]
         rows, columns = frame.shape
         low = np.maximum(np.floor(centre - reach).astype(int), 0)
         high = np.minimum(np.ceil(centre + reach).astype(int), (columns - 1, rows - 1))
@@ -191,4 +181,4 @@ class Finder:
         stride = max(1, round(self.side_m * scale / SUBSAMPLED_PX))
         ranges = (np.arange(low[k], high[k] + 1, stride) for k in (0, 1))
         pixels = np.stack(np.meshgrid(*ranges), axis=-1).reshape(-1, 2)
-        return frame[pixels[:, 1], pixels[:, 0]].astype(np.float64), self._world(pixels)
+        return frame[pixels[:, 1], pixels[:, 0]].astype(np.float64), self.plane.world(pixels)

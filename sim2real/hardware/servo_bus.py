@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, TypeVar
+from typing import ClassVar, TypeVar
 
 from sim2real.hardware.frames import FrameDecoder, Packet, Protocol
 from sim2real.hardware.transport import Transport
@@ -22,26 +21,22 @@ QUIET_S = 0.02
 
 
 @dataclass(frozen=True)
-class Scale:
-    """Conversion of the ticks in which a servo counts angles, and its range of set-points."""
+class BusServo:
+    """A servo on the bus: the ticks in which it counts angles, and its range of set-points.
 
+    ``quantities`` are columns of what it reports in each cycle besides its position.
+    """
+
+    servo_id: int
     tick_rad: float
     centre_ticks: int
     lowest_ticks: int
     largest_ticks: int
+    quantities: tuple[str, ...]
 
     def angle(self, ticks: float) -> float:
         """Angle from the centre in rad."""
         return (ticks - self.centre_ticks) * self.tick_rad
-
-
-@dataclass(frozen=True)
-class BusServo:
-    """A servo on the bus, and columns of what it reports in each cycle besides its position."""
-
-    servo_id: int
-    scale: Scale
-    quantities: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -101,8 +96,11 @@ def reason(error: Stopped | OSError) -> str:
     return f"the port was lost ({error.strerror or error})"
 
 
-class ServoBus(ABC):
-    """Servos on one port, at ``baud`` bits per second. ``OSError`` if the port is lost."""
+class ServoBus:
+    """Servos on one port, at ``baud`` bits per second. ``OSError`` if the port is lost.
+
+    Each bus adds what the commands need of it, as ``LxBus`` does.
+    """
 
     name: ClassVar[str]  # name of the bus on the command line
     # rates at which such servos are searched for, the usual first
@@ -113,50 +111,6 @@ class ServoBus(ABC):
     def __init__(self, transport: Transport, baud: int | None = None) -> None:
         self._transport, self.baud = transport, baud or self.baud_rates[0]
         self._decoder = FrameDecoder(self.protocol, self.longest_answer)
-
-    @abstractmethod
-    def answers(self, servo_id: int, patience_s: float) -> bool:
-        """Whether a servo has this identity; one request."""
-
-    @abstractmethod
-    def look(self, servo_id: int, patience_s: float) -> Found:
-        """The state of a servo that answers; nothing is written to it."""
-
-    @abstractmethod
-    def servo(self, servo_id: int) -> BusServo:
-        """Model and scale of a servo; ``Stopped`` or ``InputError`` if it cannot be driven."""
-
-    def settings(self, servo_id: int) -> dict[str, Any]:
-        """Settings of a servo, for the recording, if it tells them: firmware, gains, delays."""
-        return {}
-
-    @abstractmethod
-    def saved(self, servo_id: int) -> dict[str, int]:
-        """Values that ``begin`` changes and ``restore`` restores, of a servo that must answer."""
-
-    @abstractmethod
-    def reading(self, servo_id: int) -> Reading:
-        """Position and temperature of a servo that must answer; ``Stopped`` if it does not."""
-
-    @abstractmethod
-    def begin(self, goals: Mapping[int, int]) -> None:
-        """Hold set-points (ticks by identity) without profile; ``Stopped`` if not confirmed."""
-
-    @abstractmethod
-    def cycle(self, goals: Mapping[int, int], deadline: float) -> Cycle:
-        """Send set-points (ticks by identity) and read every servo by ``deadline``."""
-
-    @abstractmethod
-    def restore(self, servo_id: int, saved: Mapping[str, int]) -> bool:
-        """Switch the torque of a servo off and restore ``saved``; whether it confirmed all."""
-
-    @abstractmethod
-    def cycle_s(self, count: int) -> float:
-        """Time on the wire of a cycle with so many servos."""
-
-    @abstractmethod
-    def sample_delay_s(self, count: int) -> float:
-        """Time from the arrival of set-points to the sampling of positions, of so many servos."""
 
     @property
     def garbled(self) -> int:

@@ -7,6 +7,7 @@ carry a marker have a coloured patch.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from sim2real.arrays import Array, Mask, Picture
 from sim2real.errors import InputError
 from sim2real.hardware.camera import Blob, Camera, Marker, Plane
 from sim2real.hardware.registration import Finder, Sighting
-from sim2real.recording import Recording
+from sim2real.recording import POSE, Recording
 from sim2real.structured import LARGEST_STREAM_BYTES, check_size
 from sim2real.velocity import body_velocity
 
@@ -90,7 +91,12 @@ class MarkerTracker:
     def _searched(self, frame: Picture) -> Sighting | None:
         windows = []
         if self._last is not None and self._lost < 3 * EVERYWHERE:
-            windows.append(self._window(frame, self._last))
+            reach = NEARBY_M * (1 + self._lost / 10)
+            around = self._last[:2] + reach * np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
+            pixels = self._finder.plane.pixels(around)
+            low = np.clip(np.floor(pixels.min(axis=0)), 0, None).astype(int)
+            high = np.clip(np.ceil(pixels.max(axis=0)) + 1, 1, frame.shape[::-1]).astype(int)
+            windows.append((*low.tolist(), *high.tolist()))
         if self._lost % EVERYWHERE == (0 if self._last is None else EVERYWHERE - 1):
             windows.append((0, 0, frame.shape[1], frame.shape[0]))
         for window in windows:
@@ -101,14 +107,6 @@ class MarkerTracker:
             if best is not None and best.likeness >= LIKENESS:
                 return best
         return None
-
-    def _window(self, frame: Picture, pose: Array) -> tuple[int, int, int, int]:
-        reach = NEARBY_M * (1 + self._lost / 10)
-        corners = pose[:2] + reach * np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
-        pixels = self._finder.plane.pixels(corners, self._finder.height_m)
-        low = np.clip(np.floor(pixels.min(axis=0)), 0, None).astype(int)
-        high = np.clip(np.ceil(pixels.max(axis=0)) + 1, 1, frame.shape[::-1]).astype(int)
-        return int(low[0]), int(low[1]), int(high[0]), int(high[1])
 
 
 def find_blob(picture: Picture, plane: Plane, blob: Blob, *, fewest_px: int = 6) -> Array | None:
@@ -130,7 +128,7 @@ def find_blob(picture: Picture, plane: Plane, blob: Blob, *, fewest_px: int = 6)
     if max(areas, default=0) < fewest_px:
         return None
     rows, columns = np.nonzero(label == 1 + int(np.argmax(areas)))
-    spots = plane.world(np.column_stack([columns, rows]), blob.height_m)
+    spots = plane.raised(blob.height_m).world(np.column_stack([columns, rows]))
     middle = spots.mean(axis=0)
     _, axes = np.linalg.eigh(np.cov((spots - middle).T))
     return np.array([*middle, np.arctan2(axes[1, -1], axes[0, -1])])
@@ -234,7 +232,12 @@ def correlated(track: Track, servo: Recording, *, reach_s: float = 10.0) -> tupl
     t = np.arange(servo.t[0], servo.t[-1], _GRID_S)
     yaw_t = np.arange(track.t[0], track.t[-1], _GRID_S)
     yaw_rate = np.interp(yaw_t, track.t, body_velocity(track.t, track.pose)[:, 2])
-    rates = np.stack([_rate(servo.t, angle, t) for angle in servo.position.T], axis=1)
+    columns = []
+    for angle in servo.position.T:
+        there = np.isfinite(angle)  # missing angles are interpolated
+        whole = np.interp(servo.t, servo.t[there], angle[there])
+        columns.append(np.interp(t, servo.t, np.gradient(whole, servo.t)))
+    rates = np.stack(columns, axis=1)
     if not (rates.std() > 0 and yaw_rate.std() > 0):
         raise ValueError("nothing moves")
     lags = np.arange(-round(reach_s / _GRID_S), round(reach_s / _GRID_S) + 1)
@@ -251,12 +254,6 @@ def correlated(track: Track, servo: Recording, *, reach_s: float = 10.0) -> tupl
     return float(servo.t[0] + (lags[k] + offset) * _GRID_S), float(shares[k])
 
 
-def _rate(t: Array, angle: Array, grid: Array) -> Array:
-    """Rate of a joint on a grid of times; missing angles are interpolated."""
-    measured = np.isfinite(angle)
-    return np.interp(grid, t, np.gradient(np.interp(t, t[measured], angle[measured]), t))
-
-
 def _explained(rates: Array, yaw_rate: Array, lag: int, shortest: float) -> float:
     """Share of the variance explained if the video starts ``lag`` steps into the recording."""
     start, stop = max(0, lag), min(len(rates), lag + yaw_rate.size)
@@ -270,16 +267,10 @@ def _explained(rates: Array, yaw_rate: Array, lag: int, shortest: float) -> floa
 
 
 def joined(track: Track, servo: Recording, start_s: float) -> dict[str, Array]:
-    """Body columns on the recording's clock; the video's first frame is at ``start_s``."""
+    """Body columns on the recording's clock, missing beside a frame without the body.
+
+    The video's first frame is at ``start_s``.
+    """
     t = servo.t - start_s
-    gap = 1.5 * float(np.median(np.diff(track.t)))
-    frame_t = track.t[track.seen]
-    after = np.searchsorted(frame_t, t)
-    before, after = (np.clip(k, 0, frame_t.size - 1) for k in (after - 1, after))
-    inside = (t >= frame_t[0]) & (t <= frame_t[-1])
-    valid = inside & (frame_t[after] - frame_t[before] <= gap)
-    names = ("body.x_m", "body.y_m", "body.yaw_rad")
-    return {
-        name: np.where(valid, np.interp(t, frame_t, column), np.nan)
-        for name, column in zip(names, track.pose[track.seen].T, strict=True)
-    }
+    poses = zip(POSE, track.pose.T, strict=True)
+    return {name: np.interp(t, track.t, x, math.nan, math.nan) for name, x in poses}

@@ -4,66 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import os
-import secrets
-import select
-import socket
 import time
 from collections.abc import Callable
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
-from typing import Protocol
-from urllib.parse import urlsplit
 
 from sim2real.errors import InputError, optional
-from sim2real.hardware.datagram import (
-    HALF,
-    LARGEST,
-    NUMBERS,
-    SEALED_NUMBERS,
-    Datagram,
-    read_answer,
-    request,
-    shared_key,
-)
+from sim2real.hardware.datagram import PORTS, UdpTransport, shared_key
 
-_PORTS = "a serial port, socket://HOST:PORT, rfc2217://HOST:PORT or udp://HOST:PORT"
-PATIENCE = 25
-"""Datagrams without an answer after which a new session is begun, with a key."""
 READ_TIMEOUT_S = 0.05
 WRITE_TIMEOUT_S = 0.5
-
-
-class Transport(Protocol):
-    """A connection to the bus. Calls return by their deadline; ``OSError`` if it is lost."""
-
-    # whether requests to several servos may be pending at once. A shared wire does not allow it; a
-    # radio that sends them in order does
-    together: bool
-    # clock of the remote device at the last answered request, if it sends one
-    device_s: float | None
-
-    def write(self, data: bytes) -> None:
-        """Send ``data``."""
-
-    def read(self, deadline: float) -> bytes:
-        """Bytes that have arrived; empty only after ``deadline`` (``time.monotonic``)."""
-
-    def close(self) -> None:
-        """Close the port."""
-
-
-def open_transport(url: str, *, baud: int = 115_200) -> Transport:
-    """Open a serial port (local, ``socket://``, ``rfc2217://``) or a radio (``udp://HOST:PORT``).
-
-    The radio's key is in the environment variable ``SIM2REAL_KEY``, if there is one. ``InputError``
-    if there is no such port, or it cannot be opened.
-    """
-    if url.startswith("udp://"):
-        return UdpTransport(url, shared_key())
-    if "://" not in url and os.name == "posix" and not Path(url).exists():
-        raise InputError("--port", "", f"no port {url!r}", _PORTS)
-    return SerialTransport(url, baud)
 
 
 class SerialTransport:
@@ -74,8 +25,8 @@ class SerialTransport:
     opens the port.
     """
 
-    together = False
-    device_s: float | None = None
+    together = False  # requests to several servos must not be pending at once on a shared wire
+    device_s: float | None = None  # there is no clock
 
     def __init__(self, url: str, baud: int) -> None:
         with optional("--port"):
@@ -88,7 +39,7 @@ class SerialTransport:
             )
         except (OSError, ValueError) as error:
             reason = str(error).splitlines()[0]
-            raise InputError("--port", "", f"{url!r} ({reason})", _PORTS) from None
+            raise InputError("--port", "", f"{url!r} ({reason})", PORTS) from None
         self._arrived: SimpleQueue[bytes] = SimpleQueue()
         self._leaving: SimpleQueue[bytes] = SimpleQueue()  # an empty item ends the thread
         self._open, self._failure = True, ""
@@ -105,13 +56,12 @@ class SerialTransport:
         self._leaving.put(data)
 
     def read(self, deadline: float) -> bytes:
-        """Wait for bytes until ``deadline``; empty if none arrive."""
+        """Bytes that have arrived; empty only after ``deadline``, by ``time.monotonic``."""
+        with contextlib.suppress(Empty):
+            if data := self._arrived.get(timeout=max(deadline - time.monotonic(), 0.0)):
+                return data
         self._check()
-        try:
-            return self._arrived.get(timeout=max(deadline - time.monotonic(), 0.0))
-        except Empty:
-            self._check()
-            return b""
+        return b""
 
     def close(self) -> None:
         """Close the port after all is sent."""
@@ -143,72 +93,18 @@ class SerialTransport:
             self._port.write(data)
 
 
-class UdpTransport:
-    """A radio at ``udp://HOST:PORT``, which shares ``key``; missing answers are not errors."""
+Transport = SerialTransport | UdpTransport
+"""A connection to the bus. Calls return by their deadline; ``OSError`` if it is lost."""
 
-    together = True
 
-    def __init__(self, url: str, key: bytes | None = None) -> None:
-        self.device_s: float | None = None
-        self._key, self._numbers = key, NUMBERS if key is None else SEALED_NUMBERS
-        self._number, self._unanswered = 0, 0
-        self._own, self._session = secrets.token_bytes(HALF), b""
-        self._waiting = b""
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        try:
-            address = urlsplit(url)
-            self._socket.connect((address.hostname, address.port or 0))
-            self._socket.getpeername()
-        except (OSError, ValueError, UnicodeError, TypeError) as error:
-            self._socket.close()
-            raise InputError("--port", "", f"{url!r} ({error})", _PORTS) from None
+def open_transport(url: str, *, baud: int = 115_200) -> Transport:
+    """Open a serial port (local, ``socket://``, ``rfc2217://``) or a radio (``udp://HOST:PORT``).
 
-    def write(self, data: bytes) -> None:
-        """Send ``data`` in one datagram; with a key once the radio has answered in this session."""
-        self._unanswered += 1
-        if self._key is not None and self._session and self._unanswered > PATIENCE:
-            self._own, self._session = secrets.token_bytes(HALF), b""
-        if self._key is not None and not self._session:
-            self._number, self._waiting = 0, data
-            self._send(request(0, b"", self._own + bytes(HALF), self._key))
-            return
-        self._number = (self._number + 1) % self._numbers
-        self._send(request(self._number, data, self._session, self._key))
-
-    def read(self, deadline: float) -> bytes:
-        """Wait for bytes until ``deadline``; empty if none arrive."""
-        while True:
-            remaining = max(deadline - time.monotonic(), 0.0)
-            if not select.select([self._socket], [], [], remaining)[0]:
-                return b""
-            with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
-                reply = read_answer(self._socket.recv(LARGEST), self._key)
-                if reply is None or reply.number not in (None, self._number):
-                    continue
-                if self._key is not None and not self._of_this_session(reply):
-                    continue
-                self._unanswered = 0
-                if reply.data:
-                    self.device_s = reply.clock_s
-                    return reply.data
-
-    def close(self) -> None:
-        """Release the radio and close the socket."""
-        if self._number:
-            self._number = (self._number + 1) % self._numbers
-            self._send(request(self._number, b"", self._session, self._key))
-        self._socket.close()
-
-    def _of_this_session(self, reply: Datagram) -> bool:
-        """Whether an answer is to this session; the first one completes it."""
-        session = reply.session or b""
-        if not self._session and session.startswith(self._own):
-            self._session, self._unanswered = session, 0
-            self.write(self._waiting)
-        return session == self._session
-
-    def _send(self, datagram: bytes) -> None:
-        # refused: no listener at present, for example while the robot restarts
-        with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
-            self._socket.send(datagram)
+    The radio's key is in the environment variable ``SIM2REAL_KEY``, if there is one. ``InputError``
+    if there is no such port, or it cannot be opened.
+    """
+    if url.startswith("udp://"):
+        return UdpTransport(url, shared_key())
+    if "://" not in url and os.name == "posix" and not Path(url).exists():
+        raise InputError("--port", "", f"no port {url!r}", PORTS)
+    return SerialTransport(url, baud)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import ClassVar, Literal
 
 from sim2real.hardware.frames import BROADCAST, Instruction, Packet
-from sim2real.hardware.lx import SCALE, LxCommand, expects_reply
+from sim2real.hardware.lx import SERVO, LxCommand, expects_reply
 from sim2real.hardware.register_bus import ALERT
 from sim2real.hardware.registers import TORQUE, ServoModel
 from sim2real.hardware.virtual_bus import Law, VirtualServo
@@ -19,65 +19,53 @@ _STALL_A = 1.0
 """Current at the stall torque."""
 
 
-_FIXED = {
-    LxCommand.VIN_LIMIT_READ: bytes((0x94, 0x11, 0xE0, 0x2E)),  # 4500 to 12000 mV
-    LxCommand.TEMP_MAX_LIMIT_READ: bytes((85,)),
-}
-
-
 class VirtualLx(VirtualServo):
-    """One LX servo, with the commands of ``LxCommand``."""
+    """One LX servo, with the commands of ``LxCommand``; the time of a move is ignored."""
 
     def ticks(self, now: float) -> int:
         """Reported position in ticks of 0.24 degrees."""
-        return SCALE.centre_ticks + round(self._shaft.angle(now) / SCALE.tick_rad)
+        return SERVO.centre_ticks + round(self.angle(now) / SERVO.tick_rad)
 
     def handle(self, packet: Packet, now: float) -> Packet | None:
         """Process a packet; the reply, if it is a request to this servo."""
         everyone = packet.servo_id == BROADCAST
         if not self.connected or not (everyone or packet.servo_id == self.servo_id):
             return None
-        if not expects_reply(packet):
-            self._obey(packet.code, packet.parameters, now)
-        elif not everyone or packet.code == LxCommand.ID_READ:
-            return Packet(self.servo_id, packet.code, self._answer(packet.code, now))
-        return None
-
-    def _answer(self, command: int, now: float) -> bytes:
-        if command == LxCommand.POS_READ:
-            return max(min(self.ticks(now), 32767), -32768).to_bytes(2, "little", signed=True)
-        if command == LxCommand.VIN_READ:
-            return round(1000 * self._supply_V).to_bytes(2, "little")
-        if command == LxCommand.TEMP_READ:
-            return bytes((self._degrees(now),))
-        if command == LxCommand.LOAD_READ:
-            return bytes((self.powered,))
-        if command == LxCommand.ID_READ:
-            return bytes((self.servo_id,))
-        return _FIXED[LxCommand(command)]
-
-    def _obey(self, command: int, parameters: bytes, now: float) -> None:
+        command, parameters = packet.code, packet.parameters
         if command == LxCommand.MOVE_TIME_WRITE and len(parameters) == 4:
-            ticks, milliseconds = (int.from_bytes(parameters[k : k + 2], "little") for k in (0, 2))
-            self._shaft.angle(now)
-            angle = SCALE.angle(min(ticks, SCALE.largest_ticks))
-            self._shaft.command(now, angle, milliseconds / 1000)
+            ticks = int.from_bytes(parameters[:2], "little")
+            self.command(now, SERVO.angle(min(ticks, SERVO.largest_ticks)))
         elif command == LxCommand.MOVE_STOP:
-            self._shaft.hold(now)
+            self.hold(now)
         elif command == LxCommand.LOAD_WRITE and len(parameters) == 1:
-            self._power(parameters[0] != 0, now)
+            self.power(parameters[0] != 0, now)
+        elif expects_reply(packet) and (not everyone or command == LxCommand.ID_READ):
+            ticks = max(min(self.ticks(now), 32767), -32768)
+            answers = {
+                LxCommand.POS_READ: ticks.to_bytes(2, "little", signed=True),
+                LxCommand.VIN_READ: round(1000 * self._supply_V).to_bytes(2, "little"),
+                LxCommand.TEMP_READ: bytes((self._degrees(now),)),
+                LxCommand.LOAD_READ: bytes((self.powered,)),
+                LxCommand.ID_READ: bytes((self.servo_id,)),
+                LxCommand.VIN_LIMIT_READ: bytes((0x94, 0x11, 0xE0, 0x2E)),  # 4500 to 12000 mV
+                LxCommand.TEMP_MAX_LIMIT_READ: bytes((85,)),
+            }
+            return Packet(self.servo_id, command, answers[LxCommand(command)])
+        return None
 
 
 class RegisterServo(VirtualServo):
     """One servo as it leaves the factory, except for its identity, and a rate of 1 Mbaud.
 
-    A set-point is approached with ``profile_velocity`` if that is not 0; ``profile_acceleration``
-    is stored only. The current or load is the torque as a share of the stall torque.
+    Motion profiles are stored only. The current or load is the torque as a share of the stall
+    torque.
     """
 
     word_bytes: ClassVar[int]  # bytes of an address, and of a number of bytes, in an instruction
     # value of the register ``status_level`` with which writes are answered
     answers_writes: ClassVar[int]
+    refuses: ClassVar[bool]  # whether it answers what cannot be read or is no instruction
+    pinged: ClassVar[tuple[str, ...]]  # registers in the answer to a ping
     factory: ClassVar[Mapping[str, int]]  # values of registers
 
     def __init__(
@@ -85,7 +73,7 @@ class RegisterServo(VirtualServo):
     ) -> None:
         super().__init__(servo_id, law, now, **more)
         self.model, self.memory = model, bytearray(256)
-        self._layout, self._scale = model.layout, model.scale(0, 0)
+        self._layout, self._scale = model.layout, model.servo(servo_id)
         self._heard = now
         rating = model.rating(self._supply_V)
         self._stall_Nm = law.kp_Nm_per_rad if rating is None else rating.stall_torque_Nm
@@ -97,6 +85,7 @@ class RegisterServo(VirtualServo):
         }
         for name, value in {**self.factory, **start}.items():
             self.put(name, value)
+        self.delay_s = self.get("return_delay") * DELAY_UNIT_S
         self._refresh(now)
 
     @abstractmethod
@@ -105,12 +94,7 @@ class RegisterServo(VirtualServo):
 
     def _refusal(self, reason: Refusal) -> Packet | None:
         """The answer to what cannot be read or is no instruction, if there is one."""
-        return None
-
-    @property
-    def delay_s(self) -> float:
-        """Time between the end of a request and the reply."""
-        return self.get("return_delay") * DELAY_UNIT_S
+        return self._status(reason) if self.refuses else None
 
     def get(self, name: str) -> int:
         """Value of a register."""
@@ -127,7 +111,7 @@ class RegisterServo(VirtualServo):
         super().advance(now)
         limit = self._watchdog() * WATCHDOG_UNIT_S if self.powered else 0
         if limit > 0 and now - self._heard > limit:
-            self._shaft.hold(now)
+            self.hold(now)
             self.put("bus_watchdog", -1)
 
     def handle(self, packet: Packet, now: float) -> Packet | None:
@@ -145,7 +129,8 @@ class RegisterServo(VirtualServo):
         )
         rest = packet.parameters[2 * size :]
         if code == Instruction.PING:
-            return self._status(None, self._identification())
+            told = [self._layout[name].encode(self.get(name)) for name in self.pinged]
+            return self._status(None, b"".join(told))
         if code == Instruction.SYNC_READ and everyone:
             return self._read(address, count, now) if self.servo_id in rest else None
         if code == Instruction.SYNC_WRITE and everyone:
@@ -180,12 +165,14 @@ class RegisterServo(VirtualServo):
             self.memory[:] = before
             return "range"
         for name in names:
-            self._act(name, now)
+            value = self.get(name)
+            if name == TORQUE:
+                self.power(value == 1, now)
+            elif name == "goal_position" and self.powered:
+                self.command(now, self._scale.angle(value))
+            elif name == "servo_id":
+                self.servo_id = value
         return None
-
-    def _identification(self) -> bytes:
-        """Data of the answer to a ping."""
-        return b""
 
     def _read(self, address: int, count: int, now: float) -> Packet | None:
         if not 0 < count <= len(self.memory) - address:
@@ -207,24 +194,13 @@ class RegisterServo(VirtualServo):
             return self._watchdog() >= 0 and (low <= value <= high or low == high)
         return True
 
-    def _act(self, name: str, now: float) -> None:
-        if name == TORQUE:
-            self._power(self.get(TORQUE) == 1, now)
-        elif name == "goal_position" and self.powered:
-            goal = self._scale.angle(self.get("goal_position"))
-            way = abs(goal - self._shaft.angle(now))
-            speed = self.get("profile_velocity") * self.model.velocity_unit_rad_s
-            self._shaft.command(now, goal, way / speed if speed else 0.0)
-        elif name == "servo_id":
-            self.servo_id = self.get("servo_id")
-
     def _refresh(self, now: float) -> None:
         """Write the present values into the memory."""
-        angle = self._shaft.angle(now)
-        share = max(min(self._shaft.drive_Nm / self._stall_Nm, 1.0), -1.0)
+        angle = self.angle(now)
+        share = max(min(self.drive_Nm / self._stall_Nm, 1.0), -1.0)
         present = {
             "present_position": self._scale.centre_ticks + round(angle / self._scale.tick_rad),
-            "present_velocity": round(self._shaft.speed / self.model.velocity_unit_rad_s),
+            "present_velocity": round(self.speed / self.model.velocity_unit_rad_s),
             "present_load": round(1000 * share),
             "present_voltage": round(10 * self._supply_V),
             "present_temperature": self._degrees(now),
@@ -247,6 +223,7 @@ class VirtualDynamixel(RegisterServo):
 
     word_bytes = 2
     answers_writes = 2
+    refuses, pinged = True, ("model", "firmware")
     factory: ClassVar[Mapping[str, int]] = {
         "firmware": 46,
         "baud": 3,
@@ -259,16 +236,6 @@ class VirtualDynamixel(RegisterServo):
         "position_p": 400,
     }
 
-    def _identification(self) -> bytes:
-        return bytes(self.memory[0:2] + self.memory[6:7])  # model and firmware
-
-    def _read(self, address: int, count: int, now: float) -> Packet | None:
-        silent = self.get("status_level") == 0
-        return None if silent else super()._read(address, count, now)
-
-    def _refusal(self, reason: Refusal) -> Packet:
-        return self._status(reason)
-
     def _status(self, refused: Refusal | None, data: bytes = b"") -> Packet:
         errors = {None: 0, "instruction": 2, "range": 4, "length": 5, "access": 7}
         error = errors[refused] | (ALERT if self.get("errors") else 0)
@@ -280,6 +247,7 @@ class VirtualFeetech(RegisterServo):
 
     word_bytes = 1
     answers_writes = 1
+    refuses, pinged = False, ()
     factory: ClassVar[Mapping[str, int]] = {
         "status_level": 1,
         "max_temperature": 70,

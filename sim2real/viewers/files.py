@@ -99,7 +99,11 @@ def write_mcap(scene: Scene, path: str | os.PathLike[str]) -> Path:
     for group in scene.groups:
         number = {"type": "number", "description": f"unit: {group.unit or '1'}"}
         title = "sim2real." + group.path[-1].replace(" ", "_")
-        _write_topic(writer, group, title, dict.fromkeys(group.signals, number), _samples(group))
+        samples = (
+            {name: float(x[k]) for name, x in group.signals.items() if np.isfinite(x[k])}
+            for k in range(group.t.size)
+        )
+        _write_topic(writer, group, title, dict.fromkeys(group.signals, number), samples)
     fields = {"deletions": _ARRAY, "entities": _ARRAY}
     for track, colour in zip(scene.tracks, cycle(TRACK_COLOURS), strict=False):
         _write_topic(writer, track, "foxglove.SceneUpdate", fields, _updates(track, colour))
@@ -124,11 +128,6 @@ def _write_topic(
         if message:
             data = json.dumps(message, allow_nan=False).encode()
             writer.add_message(channel, time, data, time, sequence=number)
-
-
-def _samples(group: SignalGroup) -> Iterator[dict[str, Any]]:
-    for k in range(group.t.size):
-        yield {name: float(x[k]) for name, x in group.signals.items() if np.isfinite(x[k])}
 
 
 def _updates(track: MovingLine, colour: Colour) -> Iterator[dict[str, Any]]:

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from sim2real.arrays import Array, Mask
 from sim2real.diagnose.result import Diagnosis, JointSeries
-from sim2real.recording import Recording
+from sim2real.recording import POSE, Recording
 from sim2real.robot import Robot
 from sim2real.units import readable_name, unit_of
 
 COMMAND, MEASURED, PREDICTED = "command", "measured", "predicted"
 """Names of signals; a command holds until the next one."""
-POSE = ("body.x_m", "body.y_m", "body.yaw_rad")
 _OTHER_UNITS = {"_A": "A", "_V": "V", "_C": "°C"}
 """Units of columns that no parameter has."""
 
@@ -86,20 +85,12 @@ class Scene:
 def recorded(recording: Recording, robot: Robot | None = None, name: str = MEASURED) -> Scene:
     """Commands, angles and all further columns of a recording.
 
-    Args:
-        recording: The recording.
-        robot: Its robot; a swim then shows its axis in motion too.
-        name: Name of the signals that are not commands.
+    With its robot, a swim shows its axis in motion too. ``name`` is of signals other than commands.
     """
-    groups = [
-        SignalGroup(
-            (recording.name, joint, "position"),
-            "rad",
-            recording.t,
-            {COMMAND: recording.command[:, j], name: recording.position[:, j]},
-        )
-        for j, joint in enumerate(recording.joints)
-    ]
+    groups = []
+    for j, joint in enumerate(recording.joints):
+        angles = {COMMAND: recording.command[:, j], name: recording.position[:, j]}
+        groups.append(SignalGroup((recording.name, joint, "position"), "rad", recording.t, angles))
     groups += [_column(recording, column, name) for column in recording.columns]
     tracks = []
     if robot is not None and recording.has_poses:
@@ -109,23 +100,14 @@ def recorded(recording: Recording, robot: Robot | None = None, name: str = MEASU
 
 
 def with_prediction(recording: Recording, joint: str, predicted: Array) -> Scene:
-    """One joint of a recording with its predicted angles and the residual.
-
-    Args:
-        recording: The recording.
-        joint: Name of the joint.
-        predicted: Predicted angles in rad, shape (T,).
-    """
+    """One joint of a recording with its predicted angles (T,) in rad and the residual."""
     return recorded(recording) + Scene(fit_groups(recording, joint, predicted))
 
 
 def fit_groups(recording: Recording, joint: str, predicted: Array) -> tuple[SignalGroup, ...]:
-    """Position and residual of one joint; without residual if nothing was measured.
+    """Position and residual of one joint, of predicted angles (T,) in rad.
 
-    Args:
-        recording: The recording.
-        joint: Name of the joint.
-        predicted: Predicted angles in rad, shape (T,).
+    Without a residual if nothing was measured.
     """
     j = recording.joints.index(joint)
     measured, place, t = recording.position[:, j], (recording.name, joint), recording.t
@@ -141,24 +123,19 @@ def diagnosed(diagnosis: Diagnosis) -> Scene:
     ``torque`` is what the plain servo lacks: smoothed, from the recording (``missing``), and from
     the enriched model's motion (``effects``), which the named effects account for.
     """
-    scene = Scene()
+    groups = list[SignalGroup]()
     for series in diagnosis.evidence:
-        joint = diagnosis.model.joints[series.joint]
-        unit = "N m/(kg m²)" if joint.per_inertia else "N m"
-        scene += Scene(tuple(_evidence(series, unit)))
-    return scene
-
-
-def _evidence(series: JointSeries, torque_unit: str) -> Sequence[SignalGroup]:
-    place, t = (series.recording, series.joint), series.t
-    models = {"plain": series.baseline, "enriched": series.enriched}
-    angles = {COMMAND: series.command, MEASURED: series.position, **models}
-    torques = {"missing": series.torque, "effects": series.effects_torque}
-    return (
-        SignalGroup((*place, "position"), "rad", t, angles),
-        residual_group(series),
-        SignalGroup((*place, "torque"), torque_unit, t, torques),
-    )
+        place, t = (series.recording, series.joint), series.t
+        unit = "N m/(kg m²)" if diagnosis.model.joints[series.joint].per_inertia else "N m"
+        models = {"plain": series.baseline, "enriched": series.enriched}
+        angles = {COMMAND: series.command, MEASURED: series.position, **models}
+        torques = {"missing": series.torque, "effects": series.effects_torque}
+        groups += [
+            SignalGroup((*place, "position"), "rad", t, angles),
+            residual_group(series),
+            SignalGroup((*place, "torque"), unit, t, torques),
+        ]
+    return Scene(tuple(groups))
 
 
 def residual_group(series: JointSeries) -> SignalGroup:
@@ -172,14 +149,8 @@ def axis_points(recording: Recording, robot: Robot) -> tuple[Mask, Array]:
     """Ends and joints of a swimming robot's links, in the plane z = 0.
 
     The pose is that of the head's centre of mass; a joint's angle turns the link behind it.
-
-    Args:
-        recording: A recording with poses and angles of all joints.
-        robot: Its robot, with L links.
-
-    Returns:
-        Mask of the samples without a missing pose or angle, shape (T,), and the points of those,
-        shape (samples, L + 1, 3).
+    Returns the mask of the samples without a missing pose or angle, shape (T,), and the points of
+    those, shape (samples, links + 1, 3).
     """
     columns = [recording.joints.index(joint.name) for joint in robot.joints]
     angles = recording.position[:, columns]

@@ -115,7 +115,7 @@ def test_the_options_offer_every_name_that_there_is(name):
     """They repeat the names, as what defines them imports PyTorch."""
     known = {"task": TASKS, "arms": ARMS, "recipe": RECIPES}
     parser = argparse.ArgumentParser()
-    next(one for one in COMMANDS if one.name == name).add(parser)
+    COMMANDS[name].add(parser)
     offered = {one.dest: one.choices for one in parser._actions if one.dest in known}
     assert offered, "a command of these has names to offer"
     for option, choices in offered.items():

@@ -12,10 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim2real.errors import InputError
+from sim2real.hardware.buses import ids_of
 from sim2real.hardware.datagram import Datagram, answer, read_answer, read_request, request
 from sim2real.hardware.frames import DYNAMIXEL, FEETECH, LX, FrameDecoder, Packet
-from sim2real.hardware.lx import LxBus, LxCommand, load, lx_servo, move, number
-from sim2real.hardware.mounting import Wiring, check_ids, mount
+from sim2real.hardware.lx import LxBus, LxCommand, load, move, number
+from sim2real.hardware.mounting import places
+from sim2real.hardware.recorder import mounted
 from sim2real.hardware.registers import LAYOUTS, Register
 from sim2real.hardware.transport import open_transport
 from sim2real.hardware.virtual_bus import Law, VirtualBus
@@ -125,8 +127,9 @@ def fish(tmp_path):
 
 
 def test_ticks_and_angles(fish):
-    (plain,) = mount(fish(), [lx_servo(1)], Wiring([1]))
-    (turned,) = mount(fish(), [lx_servo(1)], Wiring([1], trim_ticks=[20], reverse=["j1"]))
+    robot, bus = fish(), LxBus(None)
+    (plain,) = mounted(bus, robot, places(robot, [1]))
+    (turned,) = mounted(bus, robot, places(robot, [1], trim_ticks=[20], reverse=["j1"]))
     assert plain.ticks(0.0) == 500
     assert plain.ticks(0.24 * 3.141592653589793 / 180 * 100) == 600
     assert turned.ticks(0.0) == 520
@@ -150,13 +153,13 @@ def test_ticks_and_angles(fish):
 )
 def test_servos_that_do_not_fit_the_robot(fish, ids, wiring, limits, message):
     with pytest.raises(InputError, match=message):
-        mount(fish(limits), [lx_servo(k) for k in ids], Wiring(ids, **wiring))
+        mounted(LxBus(None), fish(limits), places(fish(limits), ids, **wiring))
 
 
-@pytest.mark.parametrize("ids", [[], [254], [1, 1]])
+@pytest.mark.parametrize("ids", ["", "254", "1,1", "1,a"])
 def test_numbers_that_no_servo_has(ids):
     with pytest.raises(InputError, match="--ids"):
-        check_ids(ids, 253)
+        ids_of(ids, LxBus)
 
 
 PROTOCOLS = {"lx": LX, "feetech": FEETECH, "dynamixel": DYNAMIXEL}

@@ -9,14 +9,13 @@ import time
 
 import numpy as np
 import pytest
-from virtual_bench import LAW, LIMITS, limit, limits, record, refused, robot_file, served
+from virtual_bench import LIMITS, limit, limits, record, refused, robot_file, served
 
 from sim2real.cli import main
 from sim2real.errors import InputError
 from sim2real.hardware.buses import BUSES, Changed, Journal, connection, latency_advice
 from sim2real.hardware.registers import model_of, servo_models
 from sim2real.hardware.servo_bus import Stopped
-from sim2real.hardware.virtual_bus import Shaft
 from sim2real.recording import read_recording
 
 REGISTERS = ("dynamixel", "feetech")
@@ -122,7 +121,7 @@ def test_a_servo_outside_its_range_is_not_driven(tmp_path, capsys):
         (servo,) = bench.servos
         servo.put("max_position", 2600)
         servo.put("min_position", 1500)
-        servo._shaft = Shaft(LAW, time.monotonic(), 1.2)  # 2830 ticks
+        servo._angle = 1.2  # 2830 ticks
         status = record(tmp_path, bench.port, "--bus", "dynamixel", "--trim=0")
         refused(capsys, status, 1, "2830 ticks, outside its range of 1500 to 2600", "torque off")
         servo.put("operating_mode", 4)

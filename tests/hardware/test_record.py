@@ -9,7 +9,6 @@ import pytest
 from virtual_bench import LAW, record, refused, robot_file, served
 
 from sim2real.cli import main
-from sim2real.hardware.bench import Weight
 from sim2real.identification.identify import identify
 from sim2real.model import read_model
 from sim2real.recording import read_recording
@@ -141,15 +140,14 @@ def test_the_load_is_asked_for_on_a_terminal_only(tmp_path, capsys, monkeypatch)
     monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
     assert bench("udp://127.0.0.1:9", tmp_path) == 2
     assert "--mass and --arm, --inertia or --unknown-load" in capsys.readouterr().err
-    from sim2real.commands.bench import _asked
+    from sim2real.commands.record import _asked, load_of
 
     answers = iter(["heavy", "0.1", "", "0.12"])
     monkeypatch.setattr("builtins.input", lambda question: next(answers))
-    assert _asked(1) == Weight(0.1, 0.12)
     hanging = {"pendulum_mass_kg": 0.1, "pendulum_length_m": 0.12}
     inertia = {"inertia_kgm2": pytest.approx(0.1 * 0.12**2)}
-    assert Weight(0.1, 0.12).load(hangs=True) == inertia | hanging
-    assert Weight(0.1, 0.12).load(hangs=False) == inertia
+    assert _asked(1, hangs=True) == inertia | hanging
+    assert load_of(0.1, 0.12, hangs=False) == inertia
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,9 @@ from virtual_bench import LIMITS, limit, limits, record, refused, robot_file, se
 from sim2real.cli import main
 from sim2real.hardware import lx, recorder, servo_bus
 from sim2real.hardware.frames import LX, FrameDecoder, Packet
-from sim2real.hardware.lx import LxBus, LxCommand, lx_servo
-from sim2real.hardware.mounting import Wiring, mount
-from sim2real.hardware.recorder import Run
+from sim2real.hardware.lx import LxBus, LxCommand
+from sim2real.hardware.mounting import places
+from sim2real.hardware.recorder import Run, mounted
 from sim2real.recording import read_recording
 from sim2real.robot import read_robot
 
@@ -188,11 +188,12 @@ def clock(monkeypatch):
 @pytest.fixture
 def play(tmp_path, clock):
     (tmp_path / "robot.toml").write_text(ROBOT)
-    mountings = mount(read_robot(tmp_path / "robot.toml"), [lx_servo(1)], Wiring([1]))
+    robot = read_robot(tmp_path / "robot.toml")
+    mountings = mounted(LxBus(None), robot, places(robot, [1]))
 
     def run(takes, command):
         rows, bus, run = [], LxBus(Line(clock, takes)), Run(mountings)
-        recorder.record(run, bus, command, rows.append, rate_hz=HZ, hottest_C=65)
+        recorder.record(run, bus, command, rows.append, hottest_C=65)
         return run, np.array(rows)
 
     return run
@@ -236,10 +237,10 @@ def test_a_silent_servo_leaves_the_others_their_time(tmp_path, clock):
                 clock.now = deadline
             return b""
 
-    three = [lx_servo(k) for k in (1, 2, 3)]
-    run = Run(mount(read_robot(robot_file(tmp_path, 3)), three, Wiring([1, 2, 3])))
+    robot = read_robot(robot_file(tmp_path, 3))
+    run = Run(mounted(LxBus(None), robot, places(robot, [1, 2, 3])))
     bus = LxBus(Silent(clock, None))
-    recorder.record(run, bus, np.zeros((50, 3)), lambda _: None, rate_hz=HZ, hottest_C=65)
+    recorder.record(run, bus, np.zeros((50, 3)), lambda _: None, hottest_C=65)
     assert run.stopped == "no reply from j1's servo for 0.5 s"
     for cycle in np.reshape(given, (-1, 4)):
         assert cycle.min() > 0.0024

@@ -12,11 +12,20 @@ from virtual_bench import LIMITS, limit, limits, refused, robot_file, served
 
 from rl.deploy.link import Telemetry, telemetry_bytes
 from sim2real.cli import main
-from sim2real.hardware.datagram import AHEAD, HALF, SILENCE_S, answer, read_answer, request
+from sim2real.hardware.datagram import (
+    AHEAD,
+    HALF,
+    PATIENCE,
+    SILENCE_S,
+    UdpTransport,
+    VirtualRadio,
+    answer,
+    read_answer,
+    request,
+)
 from sim2real.hardware.frames import LX, Packet
 from sim2real.hardware.lx import LxBus, LxCommand
-from sim2real.hardware.transport import PATIENCE, UdpTransport, open_transport
-from sim2real.hardware.virtual_link import VirtualRadio
+from sim2real.hardware.transport import open_transport
 from sim2real.recording import read_recording
 from tests.rl.test_swim import policy_file
 

@@ -116,8 +116,8 @@ def test_a_camera_is_read_back_as_written(filmed):
     camera = read_camera(filmed[-1])
     points = np.array([[0.3, 0.4], [3.0, 2.0], [1.8, 1.8]])
     seen = overhead.Eye().pixels(np.column_stack([points, np.full(3, 0.05)]))
-    assert np.allclose(camera.plane.pixels(points, 0.05), seen, atol=0.01)
-    assert np.allclose(camera.plane.world(seen, 0.05), points, atol=1e-4)
+    assert np.allclose(camera.plane.raised(0.05).pixels(points), seen, atol=0.01)
+    assert np.allclose(camera.plane.raised(0.05).world(seen), points, atol=1e-4)
     assert camera.marker == MARKER
 
 

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from simulated import row, steps
-from virtual_bench import virtual
 
 from sim2real.hardware.frames import Packet
 from sim2real.hardware.lx import LxCommand, load, move
@@ -31,14 +30,6 @@ def test_the_one_law(shaft):
     expected = rollout(row()[None], t, sent)[0]
     assert np.ptp(expected) > 0.5
     assert np.abs(angle - expected).max() < 1e-4
-
-
-def test_a_timed_move_is_even(shaft):
-    shaft.command(0.0, 0.4, 2.0)
-    lag = LAW.latency_s + LAW.kd_Nms_per_rad / LAW.kp_Nm_per_rad  # of a PD servo on a ramp
-    for time in (0.5, 1.0, 1.5):
-        assert shaft.angle(time) == pytest.approx(0.2 * (time - lag), abs=1e-4)
-    assert shaft.angle(4.0) == pytest.approx(0.4, abs=1e-6)
 
 
 def test_without_torque_it_comes_to_rest_and_stays(shaft):
@@ -80,14 +71,3 @@ def test_it_minds_its_own_business(servo):
     assert servo.servo_id == 3
     servo.connected = False
     assert servo.handle(Packet(3, LxCommand.POS_READ), 0.0) is None
-
-
-def test_the_profile_of_a_servo_slows_it():
-    servo = virtual("dynamixel", 1, 0.0)
-    servo.write(112, (20).to_bytes(4, "little"), 0.0)  # 4.58 rev/min
-    servo.write(64, b"\x01", 0.0)
-    servo.write(116, (2548).to_bytes(4, "little"), 0.0)
-    takes = 500 / 4096 / (4.58 / 60)
-    for now, ticks, near in ((takes / 2 + 0.06, 2298, 25), (takes + 1.0, 2548, 0)):
-        assert servo.handle(Packet(1, 2, b"\x84\x00\x04\x00"), now).parameters[0] == 0
-        assert servo.get("present_position") == pytest.approx(ticks, abs=near)

@@ -9,10 +9,9 @@ from good_input import ROBOT
 
 from sim2real.cli import main
 from sim2real.hardware.buses import BUSES
+from sim2real.hardware.recorder import priority
 from sim2real.hardware.registers import model_named
-from sim2real.hardware.session import priority
-from sim2real.hardware.virtual_bus import Law, VirtualBus
-from sim2real.hardware.virtual_link import serve_terminal, serve_udp
+from sim2real.hardware.virtual_bus import Law, VirtualBus, serve_terminal, serve_udp
 from sim2real.hardware.virtual_servos import VirtualDynamixel, VirtualFeetech, VirtualLx
 
 LAW = Law()
@@ -69,9 +68,8 @@ class Served:
         bus = VirtualBus(self.servos, kind.protocol, rng, baud=baud, **line)
         stop = self._pulled.is_set
         if udp:
-            where = ("127.0.0.1", 0)
             given = {"rng": np.random.default_rng(1), "key": key, "loss": loss}
-            arguments = (bus, where, announce, stop)
+            arguments = (bus, "127.0.0.1:0", announce, stop)
         else:
             given, arguments = {}, (bus, announce, stop)
 

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.demo_agents import write_pretrained
-from rl.commands import demo_pool
-from rl.commands.demo_pool import PRETRAINED, agents_in
+from benchmarks.demo_agents import FIRST, SEEDS, write_pretrained
+from rl.commands.demo import PRETRAINED, QUICK
 from rl.deploy.export import read_zip
 from rl.experiments.ablation import LISTING, PAPER, policy_in, read_pretrained
 from sim2real.errors import InputError
@@ -22,9 +21,9 @@ POOL = Path(__file__).resolve().parents[2] / "datasets" / "pool"
 def kept(tmp_path):
     """Two agents of one arm, by its former name, kept as trained ones are; and the plan."""
     files = {"model.json": POOL / "calibrated.json", "ranges.json": POOL / "ranges.json"}
-    plan = replace(demo_pool.QUICK, seeds=(0, 1))
+    plan = replace(QUICK, seeds=(0, 1))
     folders = []
-    for seed, policy in enumerate(agents_in(POOL)):
+    for seed, policy in enumerate(FIRST):
         folders.append(tmp_path / "run" / f"all-{seed}")
         folders[-1].mkdir(parents=True)
         shutil.copy(policy, folders[-1] / "policy.zip")
@@ -38,7 +37,7 @@ def test_kept_agents_act_as_those_that_were_trained(kept):
     agents, seeds = read_pretrained(folder, ["full"])
     assert seeds == plan.seeds
     assert json.loads((folder / LISTING).read_text())["plan"] == plan.content()
-    for agent, trained in zip(agents, agents_in(POOL), strict=True):
+    for agent, trained in zip(agents, FIRST, strict=True):
         ours, theirs = policy_in(agent), read_zip(trained)
         assert all(map(np.array_equal, ours.weights, theirs.weights))
         assert all(map(np.array_equal, ours.biases, theirs.biases))
@@ -65,12 +64,12 @@ def test_the_shipped_agents_are_those_of_the_demos_plan():
     folder = POOL / PRETRAINED
     read_pretrained(folder, PAPER)
     listing = json.loads((folder / LISTING).read_text())
-    plan = replace(demo_pool.QUICK, seeds=tuple(range(demo_pool.SEEDS)))
+    plan = replace(QUICK, seeds=tuple(range(SEEDS)))
     assert listing["plan"] == plan.content()
-    names = {f"{arm}-{seed}/policy.npz" for arm in PAPER for seed in range(demo_pool.SEEDS)}
+    names = {f"{arm}-{seed}/policy.npz" for arm in PAPER for seed in range(SEEDS)}
     assert names <= listing["files"].keys()
     assert sum(file.stat().st_size for file in folder.rglob("*.*")) < 2_000_000
     made = listing["provenance"]["inputs"]
     assert {Path(name).name for name in made} == {
-        "robot.toml", "calibrated.json", "ranges.json", *(path.name for path in agents_in(POOL)),
+        "robot.toml", "calibrated.json", "ranges.json", *(path.name for path in FIRST),
     }  # fmt: skip

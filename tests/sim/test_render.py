@@ -7,8 +7,8 @@ from swimming_robots import FISH, in_a_box, with_effects
 from sim.view.plane import depth, plane_of
 from sim.view.render import picture, save_picture
 from sim.view.video import Video
-from sim2real.recording import Recording
-from sim2real.viewers.scenes import POSE, axis_points
+from sim2real.recording import POSE, Recording
+from sim2real.viewers.scenes import axis_points
 
 BOX = (0.9, 0.7, 0.4)
 

@@ -17,10 +17,10 @@ from sim.view.swim_page import swims_scene
 from sim2real.cli import main
 from sim2real.diagnose.result import Diagnosis
 from sim2real.model import read_model
-from sim2real.recording import Recording, read_recording
+from sim2real.recording import POSE, Recording, read_recording
 from sim2real.robot import read_robot
 from sim2real.viewers.files import write_mcap, write_rerun
-from sim2real.viewers.scenes import POSE, Scene, SignalGroup, axis_points, recorded, with_prediction
+from sim2real.viewers.scenes import Scene, SignalGroup, axis_points, recorded, with_prediction
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "datasets" / "servo_steps"

@@ -1,12 +1,8 @@
-"""``sim2real import``: a log becomes a recording, BAM's parameters a model.
-
-Also ``sim2real robot``: a URDF becomes a robot.
-"""
+"""Files of other tools: ``import``, ``robot``, ``export-servo`` and ``export-ranges``."""
 
 from __future__ import annotations
 
 import argparse
-import sys
 import tomllib
 
 from sim2real import exchange
@@ -14,8 +10,9 @@ from sim2real.commands.command import arguments_of
 from sim2real.errors import InputError
 from sim2real.findings import all_findings
 from sim2real.importers.urdf import read_urdf, robot_toml
-from sim2real.model import Model
+from sim2real.model import Model, read_model
 from sim2real.output import check_writable, write_whole
+from sim2real.ranges.entry import Ranges, read_ranges
 from sim2real.recording import Recording
 
 _UNKNOWN_LOAD = (
@@ -25,7 +22,7 @@ _UNKNOWN_LOAD = (
 )
 
 
-def run(options: argparse.Namespace) -> int:
+def import_log(options: argparse.Namespace) -> int:
     """Import one log; print a summary, and a remark on joints with unknown loads."""
     found = exchange.import_log(**arguments_of(exchange.import_log, options))
     if isinstance(found, Model):
@@ -33,19 +30,14 @@ def run(options: argparse.Namespace) -> int:
         about = f"gain {settings['firmware_gain']:g}, supply {settings['supply_V']:g} V"
         notes = [f"  {note}" for note in found.joints["j1"].notes]
     else:
-        about, notes = _summary(found), _remarks(found)
+        about = _summary(found)
+        notes = [f"! {warning}" for warning in found.metadata.get("import_warnings", ())]
+        findings = [one for one in all_findings(found) if one.severity != "note"]
+        notes += [f"! {finding.severity}: {finding.text}" for finding in findings]
+        if unknown := [joint for joint in found.joints if joint not in found.loads]:
+            notes.append(_UNKNOWN_LOAD.format(joints=", ".join(unknown), joint=unknown[0]))
     print("\n".join([f"{options.out}: {about}", *notes]))
     return 0
-
-
-def _remarks(recording: Recording) -> list[str]:
-    """What the importer and the check warn of, and what unknown loads lead to."""
-    lines = [f"! {warning}" for warning in recording.metadata.get("import_warnings", ())]
-    findings = [one for one in all_findings(recording) if one.severity != "note"]
-    lines += [f"! {finding.severity}: {finding.text}" for finding in findings]
-    if unknown := [joint for joint in recording.joints if joint not in recording.loads]:
-        lines.append(_UNKNOWN_LOAD.format(joints=", ".join(unknown), joint=unknown[0]))
-    return lines
 
 
 def _summary(recording: Recording) -> str:
@@ -80,5 +72,27 @@ def robot(options: argparse.Namespace) -> int:
     print(out)
     if lines:
         print("not in it, to be filled in where a command asks for it:")
-        sys.stdout.writelines(f"  {line}\n" for line in lines)
+        print("\n".join(f"  {line}" for line in lines))
+    return 0
+
+
+def export_servo(options: argparse.Namespace) -> int:
+    """Write the model's actuators for another simulator, refitted without effects that it lacks."""
+    return _exported(read_model(options.model), options)
+
+
+def export_ranges(options: argparse.Namespace) -> int:
+    """Write the ranges for another simulator; print what it does not express."""
+    return _exported(read_ranges(options.ranges), options)
+
+
+def _exported(source: Model | Ranges, options: argparse.Namespace) -> int:
+    """Write; print what the text lacks, the errors of refits, and differences of the simulator."""
+    export = exchange.export(**arguments_of(exchange.export, options, source=source))
+    errors = {name: [vars(one) for one in rows] for name, rows in export.errors.items()}
+    left_out = [*map(str, export.left_out)]
+    options.result = {"file": str(options.out), "not_expressed": left_out, **errors}
+    print(f"{', '.join(map(str, export.files(options.out)))}: for {options.to}")
+    if costs := str(export):
+        print(costs)
     return 0
