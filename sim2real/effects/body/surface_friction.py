@@ -1,8 +1,7 @@
 """Change of the skin friction of a material, which is quadratic in speed.
 
-``force = -rho / 2 coefficient area u^2`` along each link of the material.
-
-Confused with: form drag, which grows with speed in the same way.
+``force = -rho / 2 coefficient area u^2`` along each link of the material. Confused with: form drag,
+which grows with speed in the same way.
 """
 
 from sim2real.effects.body_effect import BodyEffect, Parameter

@@ -2,10 +2,8 @@
 
 A time-optimal profile: full acceleration until full braking stops exactly at the set-point (at
 distance d and speed w for another ``(sqrt(w^2 / 2 + limit d) - w) / limit`` seconds), then full
-braking. Exact over a sub-step.
-
-Residual: rounded ramps. Confused with: command filter; steps of several sizes distinguish them, as
-the duration grows with the square root of the step.
+braking. Exact over a sub-step. Residual: rounded ramps. Confused with: command filter; steps of
+several sizes distinguish them, as the duration grows with the square root of the step.
 """
 
 import warp as wp
@@ -15,7 +13,6 @@ from sim2real.effects.effect import LIMITS, Effect, F, Parameter, Row
 
 @wp.func
 def brake(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Internal set-point in rad."""
     if z[s + 2] == wp.float64(0.0):
         z[s] = x
         z[s + 2] = wp.float64(1.0)

@@ -1,10 +1,9 @@
 """Asymmetric friction: Coulomb friction that differs between the two directions.
 
 ``bound = torque (1 + asymmetry sgn v)``; ``asymmetry`` is half the relative difference. Caused by
-worn screws and preloaded gears; on the EMPS drive it is the best-known missing term.
-
-Residual: a square wave with an offset. Confused with: Coulomb friction together with a sensor
-offset or a gravity load.
+worn screws and preloaded gears; on the EMPS drive it is the best-known missing term. Residual: a
+square wave with an offset. Confused with: Coulomb friction together with a sensor offset or a
+gravity load.
 """
 
 import warp as wp
@@ -14,7 +13,6 @@ from sim2real.effects.effect import Effect, F, Parameter, Row
 
 @wp.func
 def bound(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Largest friction torque in N m."""
     return x + p[c] * (wp.float64(1.0) + p[c + 1] * wp.sign(v))
 
 

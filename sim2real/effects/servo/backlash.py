@@ -77,7 +77,6 @@ def cross(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 @wp.func
 def play(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Measured angle in rad."""
     start(torque, p, c, z, s)
     share = rotor_share(p, c)
     return x - share * z[s] - (wp.float64(1.0) - share) * z[s + 2]

@@ -1,10 +1,8 @@
 """Clock drift: the clock of the set-points and the clock of the samples have different rates.
 
 A set-point sent ``time`` seconds into the recording takes effect ``s_per_s * time`` later than the
-first one did.
-
-Residual: an error proportional to speed that grows with time. Confused with: supply droop, thermal
-derating, which change a gain and not a delay.
+first one did. Residual: an error proportional to speed that grows with time. Confused with: supply
+droop, thermal derating, which change a gain and not a delay.
 """
 
 import warp as wp
@@ -14,7 +12,6 @@ from sim2real.effects.effect import Effect, F, Parameter, Row
 
 @wp.func
 def drift(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Time at which a set-point takes effect in s."""
     return x + p[c] * time
 
 

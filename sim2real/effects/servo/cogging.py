@@ -1,9 +1,7 @@
 """Cogging: a torque that repeats with the angle, from magnets, teeth or an eccentric gear.
 
-``torque = torque_Nm sin(2 pi q / period + phase)``.
-
-Residual: a ripple over the angle, the same in both directions. Confused with: eccentricity of the
-angle sensor.
+``torque = torque_Nm sin(2 pi q / period + phase)``. Residual: a ripple over the angle, the same in
+both directions. Confused with: eccentricity of the angle sensor.
 """
 
 import warp as wp
@@ -14,7 +12,6 @@ from sim2real.effects.elementary import sine
 
 @wp.func
 def ripple(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Torque on the shaft in N m."""
     if p[c + 1] == wp.float64(0.0):
         return x
     return x + p[c] * sine(wp.float64(6.283185307179586) * q / p[c + 1] + p[c + 2])

@@ -1,10 +1,9 @@
 """Command filter: the servo smooths its set-point by a first-order low-pass filter.
 
-``tau y' + y = u``, exact over a sub-step.
-
-Residual: a smooth onset of motion. Confused with: latency, which absorbs most of it, and a sensor
-filter, which has the same effect on a single sensor. Both together are told from one, but on a
-servo without friction or limits not which has which time constant.
+``tau y' + y = u``, exact over a sub-step. Residual: a smooth onset of motion. Confused with:
+latency, which absorbs most of it, and a sensor filter, which has the same effect on a single
+sensor. Both together are told from one, but on a servo without friction or limits not which has
+which time constant.
 """
 
 import warp as wp
@@ -15,7 +14,6 @@ from sim2real.effects.elementary import decay
 
 @wp.func
 def smooth(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Internal set-point in rad."""
     if z[s + 1] == wp.float64(0.0):
         z[s] = x
         z[s + 1] = wp.float64(1.0)

@@ -45,7 +45,6 @@ def carried(torque: F, q: F, p: Row, c: int, z: Row, s: int) -> F:
 
 @wp.func
 def soften(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Torque of the motor in N m."""
     load_share = wp.float64(1.0) - wp.min(p[c + 1] / p[3], wp.float64(0.98))
     passive = carried(x, q, p, c, z, s) - load_share * x  # spring's torque without the motor's
     seen = wp.min(wp.float64(2.0) * p[c + 3], wp.float64(1.0))
@@ -62,7 +61,6 @@ def soften(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
 
 @wp.func
 def twist(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Measured angle in rad."""
     load_share = wp.float64(1.0) - wp.min(p[c + 1] / p[3], wp.float64(0.98))
     return x + (load_share - p[c + 2]) * p[c] * carried(torque, q, p, c, z, s)
 

@@ -2,11 +2,10 @@
 
 ``error = sgn(error) (max(|error| - halfwidth, 0) + step)``, where ``step`` is ``step_share`` times
 the half-width beyond the band and 0 in it. A share of 0 subtracts the band, as an analogue
-controller does; 1 is firmware that switches (``if |error| < halfwidth: error = 0``).
-
-Residual: a static offset within the band, and small sines with flat tops. Confused with: Coulomb
-friction, backlash; small steps under load distinguish them, as the band does not depend on the
-direction of the load.
+controller does; 1 is firmware that switches (``if |error| < halfwidth: error = 0``). Residual: a
+static offset within the band, and small sines with flat tops. Confused with: Coulomb friction,
+backlash; small steps under load distinguish them, as the band does not depend on the direction of
+the load.
 """
 
 import warp as wp
@@ -18,7 +17,6 @@ SWITCHES_FROM = 0.5
 
 @wp.func
 def ignore(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Error that the controller sees in rad."""
     beyond = x - wp.clamp(x, -p[c], p[c])
     if beyond != wp.float64(0.0):
         beyond += wp.sign(x) * p[c + 1] * p[c]

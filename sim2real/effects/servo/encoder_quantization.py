@@ -1,8 +1,6 @@
 """Encoder quantization: the measured angle is rounded to multiples of ``step_rad``.
 
-``angle = step round(q / step)``.
-
-Residual: a sawtooth of half a step. Nothing else looks like it.
+``angle = step round(q / step)``. Residual: a sawtooth of half a step. Nothing else looks like it.
 """
 
 import warp as wp
@@ -12,7 +10,6 @@ from sim2real.effects.effect import Effect, F, Parameter, Row
 
 @wp.func
 def count(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Measured angle in rad."""
     return p[c] * wp.round(x / p[c])
 
 

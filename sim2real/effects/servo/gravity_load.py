@@ -1,10 +1,8 @@
 """Gravity load: an eccentric weight that is missing from ``loads``.
 
 A pendulum torque ``-torque_Nm sin(q)`` on the shaft, hanging straight down at position 0 (any text
-on mechanics).
-
-Residual: a static error that grows with the sine of the angle. Confused with: a larger kp together
-with a sensor gain; another gain or supply voltage distinguishes them.
+on mechanics). Residual: a static error that grows with the sine of the angle. Confused with: a
+larger kp together with a sensor gain; another gain or supply voltage distinguishes them.
 """
 
 import warp as wp
@@ -15,7 +13,6 @@ from sim2real.effects.elementary import sine
 
 @wp.func
 def pendulum(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Torque on the shaft in N m."""
     return x - p[c] * sine(q)
 
 

@@ -1,9 +1,8 @@
 """Integral action: the controller also integrates the error.
 
-``torque += ki * integral of error``, while the torque is on.
-
-Residual: errors that decay over seconds, and overshoot after long holds. Confused with: a
-viscoelastic skin or rubber; a long hold under load distinguishes them.
+``torque += ki * integral of error``, while the torque is on. Residual: errors that decay over
+seconds, and overshoot after long holds. Confused with: a viscoelastic skin or rubber; a long hold
+under load distinguishes them.
 """
 
 import warp as wp
@@ -13,7 +12,6 @@ from sim2real.effects.effect import Effect, F, Parameter, Row
 
 @wp.func
 def integral(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Torque of the motor in N m."""
     error = (torque + p[1] * v) / p[0]  # what PD control made the torque of
     z[s] += h * error
     return x + p[c] * (z[s] - wp.float64(0.5) * h * error)  # its mean over the sub-step

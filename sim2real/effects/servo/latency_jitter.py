@@ -1,10 +1,8 @@
 """Latency jitter: the latency differs from one set-point to the next.
 
 Uniform within ``halfwidth_s`` of the latency, drawn independently for each set-point; set-points
-keep their order.
-
-Residual: noise proportional to speed. Confused with: sensor noise; a regression of the squared
-residual on the squared speed distinguishes them.
+keep their order. Residual: noise proportional to speed. Confused with: sensor noise; a regression
+of the squared residual on the squared speed distinguishes them.
 """
 
 import warp as wp
@@ -17,7 +15,6 @@ _SEED = wp.constant(31)
 
 @wp.func
 def scatter(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Time at which a set-point takes effect in s."""
     number = wp.float64(wp.randf(wp.rand_init(_SEED, int(q))))
     return x + p[c] * (wp.float64(2.0) * number - wp.float64(1.0))
 

@@ -1,9 +1,7 @@
 """Packet loss: some set-points never arrive; the previous one stays in force.
 
-Each is lost with ``probability``, independently.
-
-Residual: isolated spikes proportional to the change of the set-point. Confused with: latency
-jitter, whose delay is bounded by its width.
+Each is lost with ``probability``, independently. Residual: isolated spikes proportional to the
+change of the set-point. Confused with: latency jitter, whose delay is bounded by its width.
 """
 
 import warp as wp

@@ -1,12 +1,11 @@
 """Presliding friction: Coulomb friction that acts as a spring before it slips.
 
-A bristle of deflection z, ``z' = v (1 - stiffness z sgn(v) / torque)``, exerts
-``-stiffness z - damping z'``: Dahl's model with exponent 1, integrated exactly over a sub-step, and
-the damping of the LuGre model (Olsson, Astrom, Canudas de Wit, Gafvert, Lischinsky, European
-Journal of Control 4 (1998) 176-195), ``2 damping_ratio`` times the root of stiffness and inertia.
-
-Residual: elastic loops within a degree of each reversal. Confused with: Coulomb friction,
-compliance; small sines distinguish them, by their minor loops.
+A bristle of deflection z, ``z' = v (1 - stiffness z sgn(v) / torque)``, exerts ``-stiffness z -
+damping z'``: Dahl's model with exponent 1, integrated exactly over a sub-step, and the damping of
+the LuGre model (Olsson, Astrom, Canudas de Wit, Gafvert, Lischinsky, European Journal of Control 4
+(1998) 176-195), ``2 damping_ratio`` times the root of stiffness and inertia. Residual: elastic
+loops within a degree of each reversal. Confused with: Coulomb friction, compliance; small sines
+distinguish them, by their minor loops.
 """
 
 import warp as wp
@@ -17,7 +16,6 @@ from sim2real.effects.elementary import decay
 
 @wp.func
 def bristle(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Torque on the shaft in N m."""
     if p[c] == wp.float64(0.0):
         return x
     before = z[s]

@@ -2,12 +2,11 @@
 
 ``drive = kp error + torque clip(error / width, -1, 1)``: ``width`` is about one count of the
 encoder, below which there is no error. Observed in the drive that STS3215 servos report (public
-logs of a backlash test stand by B. Kotov, 2025): 0.8 or 1.3 % of the full drive per count of
-1.53 mrad, and an additional 1.6 %, with and without a dead band of one count.
-
-Residual: smaller errors at rest than in motion, and oscillation about the set-point where friction
-is small. Confused with: less friction, a larger kp; small and large steps under one load
-distinguish them, as the gains differ.
+logs of a backlash test stand by B. Kotov, 2025): 0.8 or 1.3 % of the full drive per count of 1.53
+mrad, and an additional 1.6 %, with and without a dead band of one count. Residual: smaller errors
+at rest than in motion, and oscillation about the set-point where friction is small. Confused with:
+less friction, a larger kp; small and large steps under one load distinguish them, as the gains
+differ.
 """
 
 import warp as wp

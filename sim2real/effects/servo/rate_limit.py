@@ -1,10 +1,8 @@
 """Rate limit: the servo limits the speed of its internal set-point to ``limit_rad_s``.
 
-A profile generator of constant speed, such as the time field of bus servos.
-
-Residual: straight ramps after steps, their duration proportional to the step. Confused with: torque
-saturation, voltage sag; another supply voltage or inertia distinguishes them, as neither changes
-the ramp.
+A profile generator of constant speed, such as the time field of bus servos. Residual: straight
+ramps after steps, their duration proportional to the step. Confused with: torque saturation,
+voltage sag; another supply voltage or inertia distinguishes them, as neither changes the ramp.
 """
 
 import warp as wp
@@ -14,7 +12,6 @@ from sim2real.effects.effect import LIMITS, Effect, F, Parameter, Row
 
 @wp.func
 def ramp(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Internal set-point in rad."""
     if z[s + 1] == wp.float64(0.0):
         z[s] = x
         z[s + 1] = wp.float64(1.0)

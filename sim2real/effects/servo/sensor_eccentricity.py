@@ -5,7 +5,6 @@ off-axis magnet, the teeth of a gear before the sensor or its interpolation (any
 encoders). ``zero`` and ``slope`` are those of the straight line through the sine over 0.8 rad
 either way, which a calibration removes and which would otherwise be an offset and a gain of the
 sensor. Every sensor has a small eccentricity; it belongs to the plain servo and is no finding.
-
 Residual: a sine of the angle, the same in both directions and at all speeds. Confused with:
 cogging.
 """
@@ -21,7 +20,6 @@ RANGE_RAD = 0.8
 
 @wp.func
 def wave(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Measured angle in rad."""
     if p[c + 1] == wp.float64(0.0):
         return x
     turn = wp.float64(6.283185307179586) / p[c + 1]

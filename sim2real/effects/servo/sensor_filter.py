@@ -1,9 +1,8 @@
 """Sensor filter: the measured angle is smoothed by a first-order low-pass filter.
 
-``tau y' + y = q``, exact over a sub-step.
-
-Residual: a phase lag that grows with frequency as an arctangent. Confused with: latency and a
-command filter; only a second sensor distinguishes them. Both filters together are told from one.
+``tau y' + y = q``, exact over a sub-step. Residual: a phase lag that grows with frequency as an
+arctangent. Confused with: latency and a command filter; only a second sensor distinguishes them.
+Both filters together are told from one.
 """
 
 import warp as wp
@@ -14,7 +13,6 @@ from sim2real.effects.elementary import decay
 
 @wp.func
 def smooth(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Measured angle in rad."""
     if z[s + 1] == wp.float64(0.0):
         z[s] = x
         z[s + 1] = wp.float64(1.0)

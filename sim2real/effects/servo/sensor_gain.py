@@ -1,9 +1,7 @@
 """Sensor gain: the measured angle has a relative error ``gain``.
 
-``angle = (1 + gain) q``.
-
-Residual: an error proportional to the angle. Confused with: an elastic skin; another servo gain or
-supply voltage distinguishes them.
+``angle = (1 + gain) q``. Residual: an error proportional to the angle. Confused with: an elastic
+skin; another servo gain or supply voltage distinguishes them.
 """
 
 import warp as wp
@@ -13,7 +11,6 @@ from sim2real.effects.effect import Effect, F, Parameter, Row
 
 @wp.func
 def scale(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Measured angle in rad."""
     return x * (wp.float64(1.0) + p[c])
 
 

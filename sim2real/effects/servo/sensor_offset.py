@@ -10,7 +10,6 @@ from sim2real.effects.effect import Effect, F, Parameter, Row
 
 @wp.func
 def shift(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Measured angle in rad."""
     return x + p[c]
 
 

@@ -1,11 +1,10 @@
 """Stribeck friction: friction that is largest at breakaway and decreases with speed.
 
 ``bound = torque + (breakaway - torque) exp(-(v / velocity)^2)``. Fits keep ``breakaway`` at or
-above ``torque``: friction that increases with speed is damping, not the Stribeck effect.
-Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083-1138.
-
-Residual: an additional error just after reversals, and stick-slip at low speed. Confused with:
-Coulomb friction, which it contains; only motion below ``velocity_rad_s`` distinguishes them.
+above ``torque``: friction that increases with speed is damping, not the Stribeck effect. Source:
+Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083-1138. Residual: an additional
+error just after reversals, and stick-slip at low speed. Confused with: Coulomb friction, which it
+contains; only motion below ``velocity_rad_s`` distinguishes them.
 """
 
 import warp as wp
@@ -16,7 +15,6 @@ from sim2real.effects.elementary import decay
 
 @wp.func
 def bound(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Largest friction torque in N m."""
     bound = p[c]
     if p[c + 2] > wp.float64(0.0):
         slow = v / p[c + 2]

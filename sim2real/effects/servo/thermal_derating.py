@@ -1,12 +1,10 @@
 """Thermal derating: the motor loses torque as it heats up.
 
-A temperature z follows the square of the torque over ``warm_torque_Nm``, with a time constant of
-30 s; ``torque *= 1 - loss (1 - exp(-z))``. A lumped approximation of the rise of the winding
+A temperature z follows the square of the torque over ``warm_torque_Nm``, with a time constant of 30
+s; ``torque *= 1 - loss (1 - exp(-z))``. A lumped approximation of the rise of the winding
 resistance and the decrease of the magnets' field. Where ``warm_torque_Nm`` is not known, it is the
-torque that PD control commands at an error of 0.1 rad.
-
-Residual: a gain that decreases over minutes of work and recovers at rest. Confused with: supply
-droop; a pause distinguishes them.
+torque that PD control commands at an error of 0.1 rad. Residual: a gain that decreases over minutes
+of work and recovers at rest. Confused with: supply droop; a pause distinguishes them.
 """
 
 import warp as wp
@@ -17,7 +15,6 @@ from sim2real.effects.elementary import decay
 
 @wp.func
 def weaken(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Torque of the motor in N m."""
     warm = p[c + 1]
     if warm == wp.float64(0.0):
         warm = wp.max(wp.float64(0.1) * p[0], wp.float64(1e-12))

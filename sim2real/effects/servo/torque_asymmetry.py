@@ -1,10 +1,8 @@
 """Torque asymmetry: the motor has more torque in one direction than in the other.
 
 ``torque *= 1 + asymmetry / 2 sgn(torque)``; ``asymmetry`` is the relative difference between the
-two directions.
-
-Residual: an error that differs between rising and falling steps. Confused with: asymmetric
-friction.
+two directions. Residual: an error that differs between rising and falling steps. Confused with:
+asymmetric friction.
 """
 
 import warp as wp
@@ -14,7 +12,6 @@ from sim2real.effects.effect import Effect, F, Parameter, Row
 
 @wp.func
 def favour(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Torque of the motor in N m."""
     return x * (wp.float64(1.0) + wp.float64(0.5) * p[c] * wp.sign(x))
 
 

@@ -3,7 +3,6 @@
 Loads are stated without the servo's rotor. A rotor behind gears of ratio n adds n squared times its
 inertia to the shaft, often as much as the load itself (any text on drives). Where no law states a
 rotor, this effect stands for it; where one does, for a part of the load that was not stated.
-
 Residual: an error proportional to acceleration. Confused with: latency, tens of milliseconds of it;
 a pendulum distinguishes them, as its weight is known.
 """
@@ -15,7 +14,6 @@ from sim2real.effects.effect import Effect, F, Parameter, Row
 
 @wp.func
 def rotor(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Inertia on the shaft in kg m2."""
     return x + p[c]
 
 
