@@ -17,10 +17,9 @@ from rl.sac.checkpoint import draw_curves
 from rl.sac.plan import Plan
 from sim2real.model import Model
 from sim2real.output import write_json, write_whole
-from sim2real.report.drawing import svg
+from sim2real.report.drawing import ACCENT, FAINT, INK, svg
 from sim2real.report.page import Block, Note, Section, Table, Text, write_page
 from sim2real.report.page import Figure as Picture
-from sim2real.report.style import ACCENT, FAINT, INK
 from sim2real.robot import Robot
 
 if TYPE_CHECKING:

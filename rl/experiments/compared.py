@@ -13,7 +13,7 @@ from rl.task import DOMAIN_M
 from sim.inference.swims import Swim
 from sim.view.video import FRAMES_PER_S
 from sim2real.arrays import Array, Picture
-from sim2real.report.style import INK, house_style, new_figure
+from sim2real.report.drawing import INK, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,8 +44,7 @@ class Compared:
 
 def compared_figure(swims: Sequence[Compared]) -> Figure:
     """A column for each swim, with surge, sway, yaw and the first joint, coloured as in Fig. 3."""
-    with house_style():
-        figure = new_figure(580, "Measured and simulated swims")
+    with new_figure(580, "Measured and simulated swims") as figure:
         panels = figure.subplots(4, len(swims), squeeze=False, sharex="col", sharey="row")
         for column, one in zip(panels.T, swims, strict=True):
             t = one.swim.t
@@ -68,10 +67,9 @@ def stills_figure(
     points = np.concatenate([*ways, target[None]])
     low, high = np.nanmin(points, axis=0) - 0.3, np.nanmax(points, axis=0) + 0.3
     last = max(len(reel) for reel in reels.values()) - 1
-    with house_style():
-        width, height = high - low
-        tall = 680 / count * height / width
-        figure = new_figure(60 + (tall + 30) * len(reels), "Stills of the turn")
+    width, height = high - low
+    tall = 680 / count * height / width
+    with new_figure(60 + (tall + 30) * len(reels), "Stills of the turn") as figure:
         panels = figure.subplots(len(reels), count, squeeze=False)
         ends = np.array([-1, 1, -1, 1]) * (DOMAIN_M[0] / 2 + MARGIN_M)
         for row, (name, reel) in zip(panels, reels.items(), strict=True):

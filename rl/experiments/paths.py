@@ -10,7 +10,7 @@ import numpy as np
 from rl.experiments.episodes import FIGURES
 from rl.task import POINT, START_ZONE, TARGET_ZONE
 from sim2real.arrays import Array
-from sim2real.report.style import ACCENT, FAINT, INK, MUTED, RULE, house_style, new_figure
+from sim2real.report.drawing import ACCENT, FAINT, INK, MUTED, RULE, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -90,8 +90,7 @@ def bar_panels(
 
     A panel has groups: name, colours, and mean and ends of an interval, shape (3, N).
     """
-    with house_style():
-        figure = new_figure(60 + 40 * len(names), label)
+    with new_figure(60 + 40 * len(names), label) as figure:
         interval = {"ecolor": INK, "lw": 1, "capsize": 2}
         drawn = figure.subplots(1, len(panels), sharey=True)
         for axes, (title, groups) in zip(drawn, panels.items(), strict=True):
@@ -141,8 +140,7 @@ def _panels(
 ) -> Figure:
     """A panel for each name, with what ``mark`` adds to its axes."""
     rows, columns = -(-len(ways) // _ACROSS), min(_ACROSS, len(ways))
-    with house_style():
-        figure = new_figure(rows * height + 20, label)
+    with new_figure(rows * height + 20, label) as figure:
         panels = figure.subplots(rows, columns, squeeze=False, sharex=shared, sharey=shared).ravel()
         for axes in panels[len(ways) :]:
             axes.set_visible(False)

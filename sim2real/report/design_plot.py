@@ -11,7 +11,6 @@ from sim2real.design.plan import Design, JointDesign, NextRecording
 from sim2real.design.tell_apart import JointForecast, RivalDesign
 from sim2real.diagnose.rival_sets import task
 from sim2real.report.page import Block, Note, Section, Table, Text
-from sim2real.report.quantity import printable
 from sim2real.report.series import Panel, series_block, series_figure
 from sim2real.units import readable_name, three_digits
 from sim2real.viewers.scenes import COMMAND, SignalGroup
@@ -45,7 +44,7 @@ def design_section(design: Design, *, plots: bool = True) -> Section:
         within = f", within {held:.2g} rad of hanging, where its servo can hold the load"
         lead = _LEAD.format(
             seconds=len(design.t) * joint.limits.period_s,
-            joint=printable(name),
+            joint=name,
             origin=joint.origin,
             within=within if np.isfinite(held) else "",
             count=joint.found.evaluated,
@@ -60,7 +59,7 @@ def design_section(design: Design, *, plots: bool = True) -> Section:
         ]
         label = f"{name}: designed command"
         blocks += [
-            Text(lead, heading=printable(name)),
+            Text(lead, heading=name),
             Table(("parameter", "expected 90 % interval", "determined"), rows),
         ]
         if plots:

@@ -20,7 +20,7 @@ from sim2real.report.diagnosis_plots import (
 )
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Figure, Note, Section, Table, Text
-from sim2real.report.quantity import change_text, milliradians, printable, quantities
+from sim2real.report.quantity import change_text, milliradians, quantities
 from sim2real.report.series import Panel, series_block
 from sim2real.units import readable, readable_name
 from sim2real.viewers.scenes import COMMAND, SignalGroup
@@ -272,12 +272,12 @@ def effect_tables(diagnosis: Diagnosis) -> list[Block]:
 
 def _effect_rows(diagnosis: Diagnosis, effect: NamedEffect) -> list[tuple[str, ...]]:
     bare = _per_inertia(diagnosis, effect.component)
-    what = (plain(effect.effect), printable(effect.component), percent(effect.probability))
+    what = (plain(effect.effect), effect.component, percent(effect.probability))
     rows: list[tuple[str, ...]] = []
     for name, x in effect.parameters.items():
         value, low, high = (readable(name, end, per_inertia=bare) for end in (x.mean, x.q05, x.q95))
         estimate = value if low == high else f"{value}\n{low} – {high}"
-        rows.append((*what, printable(readable_name(name)), estimate))
+        rows.append((*what, readable_name(name), estimate))
     return rows or [(*what, "", "")]
 
 

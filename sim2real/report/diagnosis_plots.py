@@ -10,9 +10,9 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.diagnose.result import Diagnosis, JointSeries, NamedEffect, percent
-from sim2real.report.quantity import printable
+from sim2real.report.drawing import ACCENT, FAINT, INK, MUTED, RULE, new_figure
+from sim2real.report.page import printable
 from sim2real.report.series import Panel, in_mrad
-from sim2real.report.style import ACCENT, FAINT, INK, MUTED, RULE, house_style, new_figure
 from sim2real.viewers.scenes import residual_group
 
 if TYPE_CHECKING:
@@ -27,8 +27,7 @@ _ROW, _TITLE = 38.0, 36.0
 
 def bar_figure(rows: Sequence[tuple[float, str, bool]]) -> Figure:
     """Plot probabilities as bars with labels above them, some of them highlighted."""
-    with house_style():
-        figure = new_figure(_ROW * len(rows) + _TITLE, "probability of each candidate")
+    with new_figure(_ROW * len(rows) + _TITLE, "probability of each candidate") as figure:
         axes = figure.subplots()
         for row, (share, label, strong) in enumerate(rows):
             colour, ink = (ACCENT, INK) if strong else (FAINT, MUTED)
@@ -105,8 +104,7 @@ def torque_figure(evidence: Sequence[JointSeries], unit: str) -> Figure:
     )
     drawn = np.flatnonzero(np.isfinite(speed) & np.isfinite(position) & np.isfinite(torque))
     drawn = drawn[:: max(1, drawn.size // POINTS)]
-    with house_style():
-        figure = new_figure(280, printable(f"{evidence[0].joint}: missing torque"))
+    with new_figure(280, printable(f"{evidence[0].joint}: missing torque")) as figure:
         panels = figure.subplots(1, 2, sharey=True)
         states = (("speed, rad/s", speed), ("position, rad", position))
         for axes, (name, x) in zip(panels, states, strict=True):

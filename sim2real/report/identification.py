@@ -11,17 +11,10 @@ import numpy as np
 from sim2real.arrays import Array, Mask
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording
-from sim2real.report.page import Block, Note, Section, Table, Text
-from sim2real.report.quantity import (
-    Quantity,
-    effect_text,
-    milliradians,
-    printable,
-    quantities,
-    quantity_table,
-)
+from sim2real.report.drawing import ACCENT, INK, new_figure
+from sim2real.report.page import Block, Note, Section, Table, Text, printable
+from sim2real.report.quantity import effect_text, milliradians, quantities, quantity_table
 from sim2real.report.series import fit_panels, series_block
-from sim2real.report.style import ACCENT, INK, house_style, new_figure
 from sim2real.units import readable_name
 
 if TYPE_CHECKING:
@@ -69,37 +62,32 @@ def model_blocks(model: Model) -> list[Block]:
     """Parameters, errors, correlations and effects of a model, and its notes."""
     rows = [(name, q) for name, joint in model.joints.items() for q in quantities(joint)]
     blocks: list[Block] = [quantity_table(rows, level=model.interval_level)] if rows else []
-    errors = [
-        (
-            printable(signal.removesuffix(".position_rad")),
-            *(_error(signal, figures.get(key)) for key in ("train", "heldout", "noise")),
-            _residual(figures),
-        )
-        for signal, figures in model.fit.items()
-    ]
+    errors = []
+    for signal, figures in model.fit.items():
+        shown = milliradians if signal.endswith("position_rad") else _number
+        cells = (shown(figures.get(key)) for key in ("train", "heldout", "noise"))
+        errors.append((signal.removesuffix(".position_rad"), *cells, _residual(figures)))
     if errors:
         blocks.append(Table(("RMSE", "train", "held out", "noise", "residual"), errors))
     remarks = [(name, _remarks(joint)) for name, joint in model.joints.items()]
     remarks.append(("supply and link", [effect_text(effect) for effect in model.effects]))
     infos = [f"{name}: {'; '.join(sentences)}" for name, sentences in remarks if sentences]
     notes = [f"{name}: {note}" for name, joint in model.joints.items() for note in joint.notes]
-    blocks += [Note("info", printable(info)) for info in infos]
-    return [*blocks, *(Note("warn", printable(note)) for note in (*notes, *model.notes))]
+    blocks += [Note("info", info) for info in infos]
+    return [*blocks, *(Note("warn", note) for note in (*notes, *model.notes))]
 
 
 def joint_blocks(joint: JointModel) -> list[Block]:
     """Parameters, correlations and effects of one servo, which has no name, and its notes."""
     table = quantity_table([("", quantity) for quantity in quantities(joint)])
     header = (*table.header[1:4], "interval", "")
-    notes = [Note("info", printable(remark)) for remark in _remarks(joint)]
-    notes += [Note("warn", printable(note)) for note in joint.notes]
+    notes = [Note("info", remark) for remark in _remarks(joint)]
+    notes += [Note("warn", note) for note in joint.notes]
     return [Table(header, [row[1:] for row in table.rows]), *notes]
 
 
-def _error(signal: str, value: float | None) -> str:
-    if value is None or not math.isfinite(value):
-        return "-"
-    return milliradians(value) if signal.endswith("position_rad") else f"{value:.4g}"
+def _number(value: float | None) -> str:
+    return "-" if value is None or not math.isfinite(value) else f"{value:.4g}"
 
 
 def _residual(figures: Mapping[str, float | None]) -> str:
@@ -131,26 +119,21 @@ def _remarks(joint: JointModel) -> list[str]:
 
 
 def parameter_figure(model: Model) -> Drawing:
-    """Plot kp, kd and latency: one panel each, one row per joint, with intervals."""
+    """Plot kp, kd and latency: a panel each, a row per joint, intervals up to twice the value."""
     rows = [quantities(joint)[:3] for joint in model.joints.values()]
-    with house_style():
-        figure = new_figure(62 + 34 * max(1, len(rows)), "kp, kd and latency of each joint")
+    with new_figure(62 + 34 * max(1, len(rows)), "kp, kd and latency of each joint") as figure:
         panels = figure.subplots(1, 3, sharey=True)
         for number, axes in enumerate(panels):
             for row, quantity in enumerate(each[number] for each in rows):
-                axes.plot(_shown(quantity), [row, row], color=INK, linewidth=1.2)
+                low, high = (quantity.value + side * abs(quantity.value) for side in (-2, 2))
+                shown = np.clip(quantity.interval or [quantity.value] * 2, low, high)
+                axes.plot(shown, [row, row], color=INK, linewidth=1.2)
                 axes.plot(quantity.value, row, "o", color=ACCENT, markersize=5)
                 axes.set_title(f"{quantity.name}, {quantity.unit}")
             axes.margins(x=0.1)
         panels[0].set_yticks(range(len(rows)), [printable(name)[:14] for name in model.joints])
         panels[0].set_ylim(len(rows) - 0.4, -0.6)
     return figure
-
-
-def _shown(quantity: Quantity) -> Array:
-    """The interval, cut off at twice the value to either side."""
-    low, high = (quantity.value + side * abs(quantity.value) for side in (-2, 2))
-    return np.clip(quantity.interval or [quantity.value] * 2, low, high)
 
 
 def step_response(joint: JointModel) -> Mapping[str, float]:

@@ -10,7 +10,6 @@ from sim2real.arrays import Array
 from sim2real.check import Check
 from sim2real.recording import Recording
 from sim2real.report.page import Block, Note, Section, Table, Text
-from sim2real.report.quantity import printable
 from sim2real.report.series import series_block, timing_panel
 
 _LEAD = (
@@ -24,7 +23,7 @@ def recording_section(recording: Recording) -> Section:
     """The summary of a recording, and a row for each joint."""
     rows = [
         (
-            printable(joint),
+            joint,
             _span(recording.command[:, j]),
             _span(recording.position[:, j]),
             str(recording.missing(j)),
@@ -33,8 +32,8 @@ def recording_section(recording: Recording) -> Section:
     ]
     blocks: list[Block] = [Table(("joint", "command", "position", "missing samples"), rows)]
     if recording.columns:
-        blocks.append(Note("info", f"Further columns: {printable(', '.join(recording.columns))}"))
-    return Section(f"Recording {printable(recording.name)}", recording.summary, blocks)
+        blocks.append(Note("info", f"Further columns: {', '.join(recording.columns)}"))
+    return Section(f"Recording {recording.name}", recording.summary, blocks)
 
 
 def check_section(check: Check) -> Section:
@@ -48,7 +47,7 @@ def check_section(check: Check) -> Section:
     )
     rows = [
         (
-            printable(joint.joint),
+            joint.joint,
             str(joint.moves),
             f"{joint.command_range_rad:.3f}",
             f"{joint.range_rad:.3f}",
@@ -68,8 +67,7 @@ def check_section(check: Check) -> Section:
         for x in check.all_findings
     ]
     notes += [Note("info", f"{row.joint}: {x}") for row in check.joints for x in row.identifiable]
-    notes = [Note(note.kind, printable(note.text)) for note in notes]
-    return Section(f"Check of {printable(check.recording)}", lead, [Table(header, rows), *notes])
+    return Section(f"Check of {check.recording}", lead, [Table(header, rows), *notes])
 
 
 def recordings_section(recordings: Sequence[Recording], checks: Sequence[Check]) -> Section:

@@ -14,19 +14,17 @@ import numpy as np
 from sim2real.arrays import Array, Index, Mask
 from sim2real.inference.segments import runs
 from sim2real.recording import Recording
-from sim2real.report.drawing import svg
-from sim2real.report.page import Figure
-from sim2real.report.quantity import printable
-from sim2real.report.style import (
+from sim2real.report.drawing import (
     ACCENT,
     FAINT,
     INK,
     MUTED,
     RULE,
     VARIABLES,
-    house_style,
     new_figure,
+    svg,
 )
+from sim2real.report.page import Figure, printable
 from sim2real.viewers.scenes import COMMAND, MEASURED, SignalGroup, fit_groups
 
 if TYPE_CHECKING:
@@ -88,8 +86,7 @@ def series_block(
 def series_figure(panels: Sequence[Panel], label: str) -> Drawing:
     """Plot panels one below the other; lines are interrupted at gaps."""
     panels = [panel for panel in panels if panel.group.signals]
-    with house_style():
-        figure = new_figure(30 + 150 * max(1, len(panels)), printable(label))
+    with new_figure(30 + 150 * max(1, len(panels)), printable(label)) as figure:
         grid = figure.subplots(max(1, len(panels)), 1, squeeze=False)[:, 0]
         shown: list[str] = []
         for axes, panel in zip(grid, panels, strict=False):

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim2real.report.page import Note, Section, Table
-from sim2real.report.quantity import milliradians, printable
-from sim2real.report.style import ACCENT, INK, house_style, new_figure
+from sim2real.report.drawing import ACCENT, INK, new_figure
+from sim2real.report.page import Note, Section, Table, printable
+from sim2real.report.quantity import milliradians
 from sim2real.servo_library.catalogue import ServoEntry
 
 if TYPE_CHECKING:
@@ -39,8 +39,7 @@ def cells(entry: ServoEntry) -> tuple[str, ...]:
 
 def servos_section(entries: Sequence[ServoEntry]) -> Section:
     """A row for each servo."""
-    rows = [tuple(map(printable, cells(entry))) for entry in entries]
-    return Section("Servos", "", [Table(COLUMNS, rows), Note("info", _HELD_OUT)])
+    return Section("Servos", "", [Table(COLUMNS, [*map(cells, entries)]), Note("info", _HELD_OUT)])
 
 
 def markdown_row(entry: ServoEntry) -> str:
@@ -56,9 +55,8 @@ def motor_figure(entries: Sequence[ServoEntry]) -> Figure:
     torques = [stall_torque(entry.joint.motor) for entry in lines]
     speeds = [entry.joint.motor[speed] for entry in lines]
     colors = [ACCENT if entry.origin == "identified" else INK for entry in lines]
-    with house_style():
-        title = "Stall torque and no-load speed of each servo"
-        figure = new_figure(90 + 26 * max(1, len(lines)), title)
+    title = "Stall torque and no-load speed of each servo"
+    with new_figure(90 + 26 * max(1, len(lines)), title) as figure:
         panels = figure.subplots(1, 2, sharey=True)
         for axes, values in zip(panels, (torques, speeds), strict=True):
             axes.scatter(values, range(len(lines)), color=colors, s=26)
