@@ -49,20 +49,15 @@ def design_section(design: Design, *, plots: bool = True) -> Section:
             within=within if np.isfinite(held) else "",
             count=joint.found.evaluated,
         )
-        rows = [
-            (
-                readable_name(parameter),
-                f"± {three_digits(100 * width)} %",
-                "yes" if joint.determined[parameter] else "not determined",
-            )
-            for parameter, width in joint.expected.items()
-        ]
-        label = f"{name}: designed command"
-        blocks += [
-            Text(lead, heading=name),
-            Table(("parameter", "expected 90 % interval", "determined"), rows),
-        ]
+        rows = []
+        for parameter, width in joint.expected.items():
+            determined = "yes" if joint.determined[parameter] else "not determined"
+            half = f"± {three_digits(100 * width)} %"
+            rows.append((readable_name(parameter), half, determined))
+        header = ("parameter", "expected 90 % interval", "determined")
+        blocks += [Text(lead, heading=name), Table(header, rows)]
         if plots:
+            label = f"{name}: designed command"
             blocks.append(series_block(_panels(design.t, name, joint), label, _CAPTION))
     return Section("Next recording", "", blocks)
 

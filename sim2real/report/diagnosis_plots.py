@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim2real.arrays import Array
-from sim2real.diagnose.result import Diagnosis, JointSeries, NamedEffect, percent
+from sim2real.diagnose.result import Diagnosis, JointSeries, percent
 from sim2real.report.drawing import ACCENT, FAINT, INK, MUTED, RULE, new_figure
 from sim2real.report.page import printable
 from sim2real.report.series import Panel, in_mrad
@@ -42,7 +41,12 @@ def bar_figure(rows: Sequence[tuple[float, str, bool]]) -> Figure:
 
 def candidate_figure(diagnosis: Diagnosis) -> Figure:
     """Probability of each candidate; only the verdict if there is none."""
-    named = [(effect.probability, _label(effect), True) for effect in diagnosis.effects]
+    named = []
+    for effect in diagnosis.effects:
+        members = list(map(plain, effect.group or (effect.effect,)))
+        one = "one of " if len(members) > 1 else ""
+        label = f"{effect.component}: {one}{listed(members, 'or')}"
+        named.append((effect.probability, label, True))
     others = [(r.probability, f"{r.component}: {plain(r.effect)}", False) for r in diagnosis.rivals]
     differing = {mismatch.component for mismatch in diagnosis.mismatch}
     others += [
@@ -52,12 +56,6 @@ def candidate_figure(diagnosis: Diagnosis) -> Figure:
     ]
     rows = [row for some in (named, others) for row in sorted(some, key=lambda row: -row[0])]
     return bar_figure(rows or [(0.0, diagnosis.verdict.replace("_", " "), False)])
-
-
-def _label(effect: NamedEffect) -> str:
-    members = list(map(plain, effect.group or (effect.effect,)))
-    one = "one of " if len(members) > 1 else ""
-    return f"{effect.component}: {one}{listed(members, 'or')}"
 
 
 def plain(effect: str) -> str:
@@ -99,9 +97,9 @@ def residual_panels(
 
 def torque_figure(evidence: Sequence[JointSeries], unit: str) -> Figure:
     """Plot the torque missing from the plain servo against speed and position."""
-    speed, position, torque, sd = (
-        _joined(evidence, name) for name in ("speed", "position", "torque", "torque_sd")
-    )
+    names = ("speed", "position", "torque", "torque_sd")
+    parts = ([getattr(series, name) for series in evidence] for name in names)
+    speed, position, torque, sd = map(np.concatenate, parts)
     drawn = np.flatnonzero(np.isfinite(speed) & np.isfinite(position) & np.isfinite(torque))
     drawn = drawn[:: max(1, drawn.size // POINTS)]
     with new_figure(280, printable(f"{evidence[0].joint}: missing torque")) as figure:
@@ -122,7 +120,3 @@ def torque_figure(evidence: Sequence[JointSeries], unit: str) -> Figure:
             panels[0].set_ylim(-reach, reach)
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
     return figure
-
-
-def _joined(evidence: Sequence[JointSeries], name: str) -> Array:
-    return np.concatenate([getattr(series, name) for series in evidence])

@@ -69,11 +69,10 @@ def model_blocks(model: Model) -> list[Block]:
         errors.append((signal.removesuffix(".position_rad"), *cells, _residual(figures)))
     if errors:
         blocks.append(Table(("RMSE", "train", "held out", "noise", "residual"), errors))
-    remarks = [(name, _remarks(joint)) for name, joint in model.joints.items()]
-    remarks.append(("supply and link", [effect_text(effect) for effect in model.effects]))
-    infos = [f"{name}: {'; '.join(sentences)}" for name, sentences in remarks if sentences]
+    remarks = {name: _remarks(joint) for name, joint in model.joints.items()}
+    remarks |= {"supply and link": [effect_text(effect) for effect in model.effects]}
+    blocks += [Note("info", f"{name}: {'; '.join(some)}") for name, some in remarks.items() if some]
     notes = [f"{name}: {note}" for name, joint in model.joints.items() for note in joint.notes]
-    blocks += [Note("info", info) for info in infos]
     return [*blocks, *(Note("warn", note) for note in (*notes, *model.notes))]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.posterior.chain import LEAST_TIMES
-from sim2real.posterior.predictive_check import LEVELS, PredictiveCheck
+from sim2real.posterior.predictive_check import LEVELS
 from sim2real.posterior.servo import ServoPosterior
 from sim2real.ranges.entry import Ranges
 from sim2real.ranges.gather import Gathered
@@ -185,12 +185,9 @@ def posterior_section(gathered: Gathered, joint: str) -> Section:
         Table(("parameter", "prior", "autocorrelation\nsteps"), rows),
         Figure(svg(corner_figure(posterior, joint)), _CORNER.format(joint=joint)),
     ]
-    if joint in gathered.checks:
-        blocks += _predictive(gathered.checks[joint], joint)
-    return Section(f"Posterior of {joint}", lead, blocks)
-
-
-def _predictive(check: PredictiveCheck, joint: str) -> list[Block]:
+    if joint not in gathered.checks:
+        return Section(f"Posterior of {joint}", lead, blocks)
+    check = gathered.checks[joint]
     shares = ", ".join(f"{100 * check.covered[x]:.0f} %" for x in LEVELS)
     bands = ", ".join(f"{100 * x:.0f}" for x in LEVELS)
     text = (
@@ -205,10 +202,12 @@ def _predictive(check: PredictiveCheck, joint: str) -> list[Block]:
     group = SignalGroup((check.recording, joint, "residual"), "rad", check.t, signals)
     panel = Panel(in_mrad(group), "measured − predicted, mrad")
     caption = _PREDICTIVE.format(joint=joint, recording=check.recording)
-    return [
+    label = f"{joint} in {check.recording}: residual"
+    blocks += [
         Note("good" if check.holds else "warn", text),
-        series_block([panel], f"{joint} in {check.recording}: residual", caption),
+        series_block([panel], label, caption),
     ]
+    return Section(f"Posterior of {joint}", lead, blocks)
 
 
 def density_section(density: Density) -> Section:
