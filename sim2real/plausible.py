@@ -64,9 +64,7 @@ def validate_recording(recording: Recording, robot: Robot | None = None) -> None
             _check_torque(recording, sheet, t, angle)
 
 
-def validate_commands(
-    recording: Recording, robot: Robot | None = None, *, range_ratio: float = 6.0
-) -> None:
+def validate_commands(recording: Recording, robot: Robot | None = None) -> None:
     """Reject times and commands that can only be a mistake, such as degrees read as radians."""
     check_sampling(recording.file, recording.t)
     if robot is None:
@@ -79,7 +77,7 @@ def validate_commands(
         low, high = joint.limits_rad
         distance = np.abs(command - (low + high) / 2)
         row = int(np.nanargmax(distance))
-        if distance[row] > range_ratio * (high - low) / 2:
+        if distance[row] > 6 * (high - low) / 2:
             raise InputError(
                 recording.file,
                 f"{name}.command_rad at {recording.t[row]:.4g} s",
@@ -94,9 +92,8 @@ def _check_columns(recording: Recording, j: int) -> None:
     joint, powered = recording.joints[j], recording.powered(j)
     if powered < 2:
         return
-    t, command, position = (
-        x[:powered] for x in (recording.t, recording.command[:, j], recording.position[:, j])
-    )
+    columns = recording.t, recording.command[:, j], recording.position[:, j]
+    t, command, position = (x[:powered] for x in columns)
     measured = np.isfinite(position)
     sent = command[measured]
     if sent.size > 1 and np.ptp(sent) > 0 and np.array_equal(sent, position[measured]):
@@ -117,7 +114,7 @@ def _check_columns(recording: Recording, j: int) -> None:
         )
 
 
-def _check_speed(file: str, joint: Joint, t: Array, angle: Array, *, ratio: float = 4.0) -> None:
+def _check_speed(file: str, joint: Joint, t: Array, angle: Array) -> None:
     """Reject angles whose speed over 0.1 s is far above the data sheet's, such as degrees."""
     window = max(0.1, 2 * float(np.median(np.diff(t))))
     early = t <= t[-1] - window
@@ -125,7 +122,7 @@ def _check_speed(file: str, joint: Joint, t: Array, angle: Array, *, ratio: floa
         return
     change = np.abs(np.interp(t[early] + window, t, angle) - angle[early])
     stated, speed = joint.servo.no_load_speed_rad_s, np.quantile(change, _QUANTILE) / window
-    if speed > ratio * stated:
+    if speed > 4 * stated:
         raise InputError(
             file,
             f"{joint.name}.position_rad",
@@ -135,9 +132,7 @@ def _check_speed(file: str, joint: Joint, t: Array, angle: Array, *, ratio: floa
         )
 
 
-def _check_torque(
-    recording: Recording, joint: Joint, t: Array, angle: Array, *, ratio: float = 6.0
-) -> None:
+def _check_torque(recording: Recording, joint: Joint, t: Array, angle: Array) -> None:
     """Reject a load whose acceleration over 0.06 s needs far more torque than the servo has."""
     load, window = recording.loads.get(joint.name), max(0.06, 2 * float(np.median(np.diff(t))))
     middle = t[(t >= t[0] + window) & (t <= t[-1] - window)]
@@ -147,7 +142,7 @@ def _check_torque(
     acceleration = np.abs(after - 2 * mid + before) / window**2
     usual = float(np.quantile(acceleration, _QUANTILE)) - 2 * float(np.median(acceleration))
     torque, stated = load.inertia_kgm2 * usual - load.gravity_Nm, joint.servo.max_torque_Nm
-    if torque > ratio * stated:
+    if torque > 6 * stated:
         raise InputError(
             recording.file,
             f"loads.{joint.name}.inertia_kgm2",

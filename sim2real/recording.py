@@ -186,7 +186,12 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     kind = top.text("kind")
     if kind not in ("servo", "pool"):
         raise top.error("kind", "'servo' or 'pool'")
-    joints = _joint_names(top)
+    names = top.content.get("joints")
+    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
+        raise top.error("joints", "a list of joint names")
+    if len(set(names)) != len(names):
+        raise top.error("joints", "each name once")
+    joints = tuple(check_label(sidecar, "joints", name) for name in names)
     t = csv_columns.times(csv, table)
     check_sampling(csv, t)
     recorded = kind == "servo" or any(f"{j}.command_rad" in table for j in joints)
@@ -267,15 +272,6 @@ def write_recording(
     }
     write_whole(csv, pd.DataFrame(table).round(9).to_csv(index=False))
     write_json(beside(csv, f"{csv.stem}.json"), sidecar)
-
-
-def _joint_names(top: Fields) -> tuple[str, ...]:
-    names = top.content.get("joints")
-    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
-        raise top.error("joints", "a list of joint names")
-    if len(set(names)) != len(names):
-        raise top.error("joints", "each name once")
-    return tuple(check_label(top.file, "joints", name) for name in names)
 
 
 def _loads(top: Fields, joints: tuple[str, ...]) -> dict[str, Load]:
