@@ -100,7 +100,7 @@ class Robots(ABC):
             where, found = type(self).__name__.lower(), f"{len(models)} models"
             raise InputError(where, "model", found, f"{E}, one for each robot")
         effects = outside(self.robot, models, self.hull, self.surface_m)
-        self.current, self.step_count = effects.current.copy(), 0
+        self.current, self.step_count = effects["current"].copy(), 0
         return models, effects
 
     @abstractmethod
@@ -122,7 +122,7 @@ class Robots(ABC):
         """
         effects = outside(self.robot, models, self.hull, self.surface_m)
         self._adopt(which, models, effects)
-        self.current[which] = effects.current
+        self.current[which] = effects["current"]
 
     def reset(
         self, mask: Mask | None = None, pose: Array | None = None, joint: Array | None = None
