@@ -20,8 +20,6 @@ def bound(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 EFFECT = Effect(
     plain="Coulomb friction",
     says="Coulomb friction of {torque_Nm} acts on the shaft",
-    site="friction",
-    term=bound,
+    site="friction", term=bound, family="dry friction",
     parameters=(Parameter("torque_Nm", low=0.0, high=1.0, typical=0.05),),
-    family="dry friction",
-)
+)  # fmt: skip

@@ -21,9 +21,6 @@ EFFECT = Effect(
     plain="a discharging battery",
     says="the supply voltage, and the motor torque with it, {loss_per_min:falls|rises} by "
     "{loss_per_min}",
-    site="motor",
-    term=droop,
+    site="motor", term=droop, component="supply", order=1,
     parameters=(Parameter("loss_per_min", low=-0.5, high=0.5, typical=0.1),),
-    component="supply",
-    order=1,
-)
+)  # fmt: skip

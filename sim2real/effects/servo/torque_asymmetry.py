@@ -19,8 +19,6 @@ EFFECT = Effect(
     plain="a motor torque that differs by direction",
     says="the motor torque is {asymmetry} larger in the "
     "{asymmetry:positive direction than in the negative|negative direction than in the positive}",
-    site="motor",
-    term=favour,
+    site="motor", term=favour, order=1,
     parameters=(Parameter("asymmetry", low=-1.0, high=1.0, typical=0.2),),
-    order=1,
-)
+)  # fmt: skip
