@@ -13,7 +13,6 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
-from functools import partial
 
 from sim2real.commands.command import Command
 from sim2real.commands.files import check_files
@@ -133,8 +132,10 @@ def _run(options: argparse.Namespace) -> int:
     module, _, function = options.module.partition(":")
     run = getattr(importlib.import_module(module), function or "run")
     with warnings.catch_warnings(), results() as files, contextlib.ExitStack() as stack:
-        warnings.showwarning = partial(_show_warning, options.command)
-        check_files(options, files)
+        warnings.showwarning = lambda message, *_, **__: print(  # type: ignore[misc]
+            f"sim2real {options.command}: warning: {message}", file=sys.stderr
+        )
+        check_files(options)
         options.files = files
         if is_standard_output(getattr(options, "out", None) or ""):
             stack.enter_context(contextlib.redirect_stdout(sys.stderr))
@@ -144,10 +145,6 @@ def _run(options: argparse.Namespace) -> int:
             for sentence in files.kept:
                 print(f"sim2real {options.command}: {sentence}", file=sys.stderr)
     return 1 if files.kept else status
-
-
-def _show_warning(command: str, message: Warning | str, *_: object, **__: object) -> None:
-    print(f"sim2real {command}: warning: {message}", file=sys.stderr)
 
 
 def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:

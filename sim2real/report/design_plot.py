@@ -18,11 +18,6 @@ from sim2real.viewers.scenes import COMMAND, SignalGroup
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
-_LEAD = (
-    "Commands of {seconds:.0f} s that are expected to determine {joint} best, from what its "
-    "{origin} says{within}; {count} commands were compared. Intervals are those of 'identify' on "
-    "this recording alone, relative to the parameter."
-)
 _CAPTION = (
     "Command and expected motion; half-width of the 90 % interval of each parameter if the "
     "recording ended there, in percent of its value."
@@ -42,12 +37,12 @@ def design_section(design: Design, *, plots: bool = True) -> Section:
     for name, joint in design.joints.items():
         held = joint.limits.largest_held_rad
         within = f", within {held:.2g} rad of hanging, where its servo can hold the load"
-        lead = _LEAD.format(
-            seconds=len(design.t) * joint.limits.period_s,
-            joint=name,
-            origin=joint.origin,
-            within=within if np.isfinite(held) else "",
-            count=joint.found.evaluated,
+        lead = (
+            f"Commands of {len(design.t) * joint.limits.period_s:.0f} s that are expected to "
+            f"determine {name} best, from what its {joint.origin} says"
+            f"{within if np.isfinite(held) else ''}; {joint.found.evaluated} commands were "
+            "compared. Intervals are those of 'identify' on this recording alone, relative to the "
+            "parameter."
         )
         rows = []
         for parameter, width in joint.expected.items():

@@ -21,13 +21,9 @@ if TYPE_CHECKING:
 
 INK, MUTED, FAINT, RULE = "#1c1e21", "#6a7078", "#a3a8af", "#dcdee1"
 ACCENT, PAPER = "#c73e1d", "#ffffff"
-VARIABLES = dict(
-    zip(
-        (INK, MUTED, FAINT, RULE, ACCENT, PAPER),
-        ("ink", "muted", "faint", "rule", "accent", "paper"),
-        strict=True,
-    )
-)
+VARIABLES = {
+    INK: "ink", MUTED: "muted", FAINT: "faint", RULE: "rule", ACCENT: "accent", PAPER: "paper",
+}  # fmt: skip
 """CSS variables that a page sets for light, dark and print; elsewhere the colours are used."""
 WIDE = 720
 POINTS_PER_INCH = 72
@@ -37,22 +33,20 @@ MARGIN_INCHES = 0.15
 _NO_METADATA = dict.fromkeys(("Creator", "Date", "Format", "Type"))
 
 STYLE: dict[Any, Any] = {
+    **dict.fromkeys(("axes.edgecolor", "grid.color", "xtick.color"), RULE),
+    **dict.fromkeys(
+        ("axes.labelcolor", "axes.titlecolor", "xtick.labelcolor", "ytick.labelcolor"), MUTED
+    ),
+    **{f"axes.spines.{side}": False for side in ("left", "right", "top")},
+    **dict.fromkeys(("font.size", "axes.titlesize"), 11.5),
     "font.family": "sans-serif",
-    "font.size": 11.5,
     "text.color": INK,
     "text.parse_math": False,  # a $ in a joint's name is a $
-    "axes.edgecolor": RULE,
-    "axes.labelcolor": MUTED,
     "axes.linewidth": 0.8,
-    "axes.spines.left": False,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
     "axes.axisbelow": True,
     "axes.grid": True,
     "axes.grid.axis": "y",
     "axes.titlelocation": "left",
-    "axes.titlesize": 11.5,
-    "axes.titlecolor": MUTED,
     "axes.titlepad": 9,
     "axes.xmargin": 0.0,
     "axes.ymargin": 0.08,
@@ -61,13 +55,9 @@ STYLE: dict[Any, Any] = {
     "figure.constrained_layout.h_pad": 0.1,
     "figure.constrained_layout.w_pad": 0.04,  # fonts of browsers are a little wider
     "figure.constrained_layout.wspace": 0.05,
-    "grid.color": RULE,
     "grid.linewidth": 0.6,
-    "xtick.color": RULE,
-    "xtick.labelcolor": MUTED,
     "xtick.major.size": 3,
     "ytick.major.size": 0,
-    "ytick.labelcolor": MUTED,
     "legend.frameon": False,
     "legend.labelcolor": "linecolor",
     "legend.handlelength": 1.0,
@@ -75,8 +65,7 @@ STYLE: dict[Any, Any] = {
     "legend.columnspacing": 1.1,
     "legend.borderpad": 0.0,
     "legend.borderaxespad": 0.3,
-    "lines.solid_capstyle": "round",
-    "lines.dash_capstyle": "round",
+    **{f"lines.{kind}_capstyle": "round" for kind in ("solid", "dash")},
     "path.simplify_threshold": 0.2,
     "svg.fonttype": "none",
     "svg.hashsalt": "sim2real",

@@ -58,10 +58,6 @@ _DENSITY = (
     "Mass per length of each link over that of the whole robot{whiskers}. The area of a bar is "
     "the link's share of the mass."
 )
-_CHAIN = (
-    "{walkers} walkers made {steps} steps each, {spans:.0f} of the longest autocorrelation time; "
-    "{least} are required. {accepted:.0f} % of the moves were accepted."
-)
 _CORNER = (
     "Posterior of {joint}. On the diagonal each parameter with its median and its 5 % and 95 % "
     "quantiles; below it regions that contain 50, 80 and 95 %."
@@ -77,15 +73,11 @@ _INSIDE = ("#e9d9d4", "#d99a89", ACCENT)
 
 def range_blocks(ranges: Ranges) -> list[Block]:
     """Notes, and every range with its source."""
-    rows = [
-        (
-            entry.parameter,
-            f"{entry.numbers(3 if entry.distribution == 'normal' else 5)} {entry.unit}".rstrip(),
-            "fixed" if entry.constant else f"{entry.distribution} per {entry.period}",
-            entry.source,
-        )
-        for entry in ranges.entries
-    ]
+    rows = []
+    for x in ranges.entries:
+        numbers = f"{x.numbers(3 if x.distribution == 'normal' else 5)} {x.unit}".rstrip()
+        drawn = "fixed" if x.constant else f"{x.distribution} per {x.period}"
+        rows.append((x.parameter, numbers, drawn, x.source))
     notes = [Note("warn", note) for note in ranges.notes]
     return [Table(("parameter", "range", "drawn", "from"), rows, _TABLE), *notes]
 
@@ -169,12 +161,10 @@ def posterior_section(gathered: Gathered, joint: str) -> Section:
     """Chain, corner plot and predictive check of a joint with a posterior."""
     posterior = gathered.posteriors[joint]
     mixing = posterior.convergence
-    lead = _CHAIN.format(
-        walkers=posterior.chain.accepted.size,
-        steps=mixing.steps,
-        spans=mixing.spans,
-        least=LEAST_TIMES,
-        accepted=100 * mixing.accepted,
+    lead = (
+        f"{posterior.chain.accepted.size} walkers made {mixing.steps} steps each, "
+        f"{mixing.spans:.0f} of the longest autocorrelation time; {LEAST_TIMES} are required. "
+        f"{100 * mixing.accepted:.0f} % of the moves were accepted."
     )
     rows = [
         (readable_name(prior.name), str(prior), f"{time:.1f}")
@@ -212,17 +202,11 @@ def posterior_section(gathered: Gathered, joint: str) -> Section:
 
 def density_section(density: Density) -> Section:
     """Mass, length and normalised density of each link."""
-    ends = density.interval
-    rows = [
-        (
-            name,
-            f"{density.mass_kg[k]:.3f}",
-            f"{density.length_m[k]:.3f}",
-            f"{density.value[k]:.3f}",
-            "–" if ends is None else f"{ends[0, k]:.3f} to {ends[1, k]:.3f}",
-        )
-        for k, name in enumerate(density.links)
-    ]
+    ends, rows = density.interval, []
+    for k, name in enumerate(density.links):
+        numbers = (f"{x[k]:.3f}" for x in (density.mass_kg, density.length_m, density.value))
+        between = "–" if ends is None else f"{ends[0, k]:.3f} to {ends[1, k]:.3f}"
+        rows.append((name, *numbers, between))
     header = ("link", "mass\nkg", "length\nm", "density", "90 % interval")
     unknown = Note("warn", "mass_sd_kg and length_sd_m of the links would give intervals")
     blocks: list[Block] = [Table(header, rows), *([unknown] if ends is None else [])]

@@ -21,15 +21,10 @@ _TIMING = "Clock of {recording}: the time from each sample to the next."
 
 def recording_section(recording: Recording) -> Section:
     """The summary of a recording, and a row for each joint."""
-    rows = [
-        (
-            joint,
-            _span(recording.command[:, j]),
-            _span(recording.position[:, j]),
-            str(recording.missing(j)),
-        )
-        for j, joint in enumerate(recording.joints)
-    ]
+    rows = []
+    for j, joint in enumerate(recording.joints):
+        spans = (_span(angles[:, j]) for angles in (recording.command, recording.position))
+        rows.append((joint, *spans, str(recording.missing(j))))
     blocks: list[Block] = [Table(("joint", "command", "position", "missing samples"), rows)]
     if recording.columns:
         blocks.append(Note("info", f"Further columns: {', '.join(recording.columns)}"))
@@ -45,19 +40,12 @@ def check_section(check: Check) -> Section:
         f"clock: {clock.rate_hz:.4g} Hz, jitter {1e3 * clock.jitter_s:.2g} ms, {pauses}, "
         f"{clock.missing_cells} positions missing"
     )
-    rows = [
-        (
-            joint.joint,
-            str(joint.moves),
-            f"{joint.command_range_rad:.3f}",
-            f"{joint.range_rad:.3f}",
-            f"{1e3 * joint.noise_rad:.2f}",
-            f"{1e3 * joint.step_rad:.2f}" if joint.step_rad else "–",
-            str(joint.missing),
-            joint.load,
-        )
-        for joint in check.joints
-    ]
+    rows = []
+    for x in check.joints:
+        ranges = f"{x.command_range_rad:.3f}", f"{x.range_rad:.3f}"
+        step = f"{1e3 * x.step_rad:.2f}" if x.step_rad else "–"
+        sensor = f"{1e3 * x.noise_rad:.2f}", step, str(x.missing)
+        rows.append((x.joint, str(x.moves), *ranges, *sensor, x.load))
     header = (
         "joint", "moves", "command\nrad", "position\nrad", "noise\nmrad", "step\nmrad", "missing",
         "load",
