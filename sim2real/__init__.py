@@ -83,5 +83,10 @@ class _Package(ModuleType):
 sys.modules[__name__].__class__ = _Package
 
 
-if "gymnasium" in sys.modules:  # Gymnasium imports this module to find the environment
-    importlib.import_module("rl")
+def _register() -> None:
+    """Register the environment where Gymnasium imports this module to find it."""
+    if "gymnasium" in sys.modules:
+        importlib.import_module("rl")
+
+
+_register()

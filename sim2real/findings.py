@@ -97,12 +97,10 @@ def merged(rows: Iterable[tuple[str, RecordingFinding]]) -> list[RecordingFindin
         about = finding.text.removeprefix(joint).removeprefix("'s").lstrip()
         joints.setdefault(about, []).append(joint)
         findings[about] = finding
-    return [
-        replace(found, text=f"{', '.join(some)}: {about}")
-        if len(some := joints[about]) > 1
-        else found
-        for about, found in findings.items()
-    ]
+    for about, some in joints.items():
+        if len(some) > 1:
+            findings[about] = replace(findings[about], text=f"{', '.join(some)}: {about}")
+    return list(findings.values())
 
 
 def joint_findings(

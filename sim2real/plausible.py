@@ -78,13 +78,11 @@ def validate_commands(recording: Recording, robot: Robot | None = None) -> None:
         distance = np.abs(command - (low + high) / 2)
         row = int(np.nanargmax(distance))
         if distance[row] > 6 * (high - low) / 2:
-            raise InputError(
-                recording.file,
-                f"{name}.command_rad at {recording.t[row]:.4g} s",
-                f"{command[row]:.4g} rad",
-                f"angles near the joint's limits_rad of {low:g} to {high:g} (are they degrees, or "
-                "are the limits wrong?)",
-            )
+            where = f"{name}.command_rad at {recording.t[row]:.4g} s"
+            expected = f"angles near the joint's limits_rad of {low:g} to {high:g}"
+            hint = "(are they degrees, or are the limits wrong?)"
+            found = f"{command[row]:.4g} rad"
+            raise InputError(recording.file, where, found, f"{expected} {hint}")
 
 
 def _check_columns(recording: Recording, j: int) -> None:
@@ -105,13 +103,10 @@ def _check_columns(recording: Recording, j: int) -> None:
         )
     lead = lead_s(t, command, np.where(wrong_readings(position), np.nan, position))
     if lead is not None:
-        raise InputError(
-            recording.file,
-            f"{joint}.position_rad",
-            f"an angle that moves {lead:.2g} s before its command does",
-            f"one that follows {joint}.command_rad (are the two columns swapped, or their clocks "
-            "apart?)",
-        )
+        found = f"an angle that moves {lead:.2g} s before its command does"
+        hint = "(are the two columns swapped, or their clocks apart?)"
+        expected = f"one that follows {joint}.command_rad {hint}"
+        raise InputError(recording.file, f"{joint}.position_rad", found, expected)
 
 
 def _check_speed(file: str, joint: Joint, t: Array, angle: Array) -> None:
@@ -123,13 +118,10 @@ def _check_speed(file: str, joint: Joint, t: Array, angle: Array) -> None:
     change = np.abs(np.interp(t[early] + window, t, angle) - angle[early])
     stated, speed = joint.servo.no_load_speed_rad_s, np.quantile(change, _QUANTILE) / window
     if speed > 4 * stated:
-        raise InputError(
-            file,
-            f"{joint.name}.position_rad",
-            f"motion at {speed:.3g} rad/s",
-            f"at most about the {stated:g} rad/s of no_load_speed_rad_s (are the angles in "
-            "degrees, the times in another unit, or is that number wrong?)",
-        )
+        hint = "(are the angles in degrees, the times in another unit, or is that number wrong?)"
+        expected = f"at most about the {stated:g} rad/s of no_load_speed_rad_s {hint}"
+        where, found = f"{joint.name}.position_rad", f"motion at {speed:.3g} rad/s"
+        raise InputError(file, where, found, expected)
 
 
 def _check_torque(recording: Recording, joint: Joint, t: Array, angle: Array) -> None:
@@ -143,10 +135,8 @@ def _check_torque(recording: Recording, joint: Joint, t: Array, angle: Array) ->
     usual = float(np.quantile(acceleration, _QUANTILE)) - 2 * float(np.median(acceleration))
     torque, stated = load.inertia_kgm2 * usual - load.gravity_Nm, joint.servo.max_torque_Nm
     if torque > 6 * stated:
-        raise InputError(
-            recording.file,
-            f"loads.{joint.name}.inertia_kgm2",
-            f"{load.inertia_kgm2:g} kg m2, which takes {torque:.3g} N m to move as recorded",
-            f"an inertia that a servo of max_torque_Nm = {stated:g} can move so (g cm2 instead of "
-            "kg m2, perhaps?)",
-        )
+        found = f"{load.inertia_kgm2:g} kg m2, which takes {torque:.3g} N m to move as recorded"
+        expected = f"an inertia that a servo of max_torque_Nm = {stated:g} can move so"
+        hint = "(g cm2 instead of kg m2, perhaps?)"
+        where = f"loads.{joint.name}.inertia_kgm2"
+        raise InputError(recording.file, where, found, f"{expected} {hint}")

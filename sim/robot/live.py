@@ -137,9 +137,8 @@ class Robots(ABC):
         chosen = np.ones(E, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
         on_device: Any = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.device)
         q = np.zeros((E, 2 + self.hull.length.size))
-        if pose is None:
-            q[:, 0] = self.hull.length.sum() / 2 - self.chain.com.numpy()[:, 0]
-        else:
+        q[:, 0] = self.hull.length.sum() / 2 - self.chain.com.numpy()[:, 0]
+        if pose is not None:
             q[:, :3] = pose
         q[:, 3:] = (0.0 if joint is None else joint) + self.chain.trim.numpy()
         self._place(q, chosen, on_device)
@@ -179,17 +178,10 @@ class Robots(ABC):
         q[:, :2] += self.current * clock[:, None]
         v[:, :2] += self.current
         stopped[(stopped < 0) & ~np.isfinite(q).all(axis=1)] = 0
-        return State(
-            pose=q[:, :3],
-            velocity=np.concatenate([turned(v[:, :2], -q[:, 2]), v[:, 2:3]], axis=1),
-            joint=q[:, 3:],
-            rate=v[:, 3:],
-            measured=np.array(s.measured.numpy()),
-            torque=np.array(s.torque.numpy()),
-            force=np.array(s.force.numpy()),
-            time=clock,
-            stopped=stopped,
-        )
+        velocity = np.concatenate([turned(v[:, :2], -q[:, 2]), v[:, 2:3]], axis=1)
+        measured, torque, force = (np.array(x.numpy()) for x in (s.measured, s.torque, s.force))
+        joints = q[:, 3:], v[:, 3:], measured, torque
+        return State(q[:, :3], velocity, *joints, force, clock, stopped)
 
     def track(self) -> Array:
         """Poses and measured angles, shape (E, 3 + J); NaN of a stopped robot."""
