@@ -19,8 +19,6 @@ Steady coefficients: for oscillations that are small against the body's size, dr
 (Keulegan and Carpenter, J. Res. Nat. Bur. Stand. 60 (1958) 423).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, pi, sqrt, ulp

@@ -1,7 +1,5 @@
 """Check of a recording before a fit: clock, joints, findings and identifiable parameters."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ The options of a command are defined in a separate file ``options``, which is im
 command; its code is imported only when it runs, so that help is fast.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import importlib

@@ -1,7 +1,5 @@
 """The clock of a recording: sampling rate, gaps and findings about its times."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike

@@ -1,7 +1,5 @@
 """Read columns of a CSV file as numbers; errors name row and column."""
 
-from __future__ import annotations
-
 import re
 from itertools import islice
 from pathlib import Path

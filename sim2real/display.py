@@ -1,7 +1,5 @@
 """Display of results by functions of ``sim2real.report``, which are imported on demand."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable
 from typing import Any

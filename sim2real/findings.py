@@ -1,7 +1,5 @@
 """Findings about a recording and its joints, one sentence each."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 

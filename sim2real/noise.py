@@ -1,7 +1,5 @@
 """Quantization step and noise standard deviation of a measured angle."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from math import comb
 

@@ -4,8 +4,6 @@ A result that is a link is written to the file behind the link. A result that is
 (``/dev/stdout``, ``/dev/null``, a FIFO) is written through to it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import errno

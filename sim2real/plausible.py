@@ -4,8 +4,6 @@ Recordings that are rejected here can only be mistakes; what is merely unusual i
 ``check``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -4,8 +4,6 @@ Angles are in rad, shape (T,), NaN where missing. The limits separate recordings
 from the same with faults put into them (``benchmarks/recording_findings.py``).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Excitation signals for identification, within the limits of joints and servos."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Estimators of body velocities from poses, for fits, figures and policies."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.signal import savgol_filter
 

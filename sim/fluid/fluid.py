@@ -1,7 +1,5 @@
 """The fluid: boxes of water side by side, all stepped at once."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Robots in the boxes of a fluid: one for each box, all advanced together."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -3,8 +3,6 @@
 Each appendage resists at two points along its longer side, at the quadrature points of Gauss.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import product
 from math import sqrt

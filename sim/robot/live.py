@@ -1,7 +1,5 @@
 """What simulators of a batch of robots share, in the fluid and in the twin: commands and state."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Parameters of the robots of a batch, one row per robot: masses, servos, and rows of ``Chain``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Swimming robots in the lattice-Boltzmann fluid, one robot per box, in a batch of boxes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Diagnosis section of a report: where the model differs, missing effects, next experiment."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

@@ -3,8 +3,6 @@
 ``result_section`` dispatches on the type of the result; other packages register theirs with it.
 """
 
-from __future__ import annotations
-
 from functools import singledispatch
 
 from sim2real.check import Check

@@ -1,7 +1,5 @@
 """Values for display, scaled and rounded, with unit and interval; rows of them as a table."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

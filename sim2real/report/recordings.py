@@ -1,7 +1,5 @@
 """Recordings and their checks: clock, noise, motion, and what can be identified."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

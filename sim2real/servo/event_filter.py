@@ -8,8 +8,6 @@ Communications 32 (1984) 169-176). Each hypothesis has a Kalman filter of its ow
 IEEE Transactions on Automatic Control 15 (1970) 10-17).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ where effect k of the catalogue is on and ``MOTOR_BIT`` where the motor is not l
 ``motor``). All float64, SI.
 """
 
-from __future__ import annotations
-
 import warp as wp
 
 from sim2real.effects.effect import F, Row

@@ -3,8 +3,6 @@
 I q'' + kd q' + (kp + gravity) q = kp u + torque, the pendulum linearised about the mean set-point.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

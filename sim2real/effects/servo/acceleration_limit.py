@@ -6,9 +6,7 @@ braking. Exact over a sub-step. Residual: rounded ramps. Confused with: command 
 several sizes distinguish them, as the duration grows with the square root of the step.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import LIMITS, Effect, F, Parameter, Row
+from sim2real.effects.effect import LIMITS, Effect, F, Parameter, Row, wp
 
 
 @wp.func

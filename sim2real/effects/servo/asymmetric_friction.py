@@ -6,9 +6,7 @@ square wave with an offset. Confused with: Coulomb friction together with a sens
 gravity load.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 
 
 @wp.func

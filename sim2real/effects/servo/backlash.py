@@ -25,9 +25,7 @@ output, more Coulomb friction by kp gap / 2. Confused with: dead band, Coulomb f
 amplitudes distinguish them.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 from sim2real.effects.elementary import sine
 
 

@@ -5,9 +5,7 @@ first one did. Residual: an error proportional to speed that grows with time. Co
 droop, thermal derating, which change a gain and not a delay.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 
 
 @wp.func

@@ -4,9 +4,7 @@
 both directions. Confused with: eccentricity of the angle sensor.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 from sim2real.effects.elementary import sine
 
 

@@ -6,9 +6,7 @@ sensor. Both together are told from one, but on a servo without friction or limi
 which time constant.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 from sim2real.effects.elementary import decay
 
 

@@ -23,9 +23,7 @@ Residual: an error proportional to torque, largest where it changes fast. Confus
 filter; a known additional inertia distinguishes them.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 from sim2real.effects.elementary import decay, sine
 
 

@@ -7,9 +7,7 @@ friction; a slow triangle distinguishes them, as the width of the hysteresis loo
 its amplitude.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 
 
 @wp.func

@@ -8,9 +8,7 @@ backlash; small steps under load distinguish them, as the band does not depend o
 the load.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 
 SWITCHES_FROM = 0.5
 

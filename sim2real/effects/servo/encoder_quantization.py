@@ -3,9 +3,7 @@
 ``angle = step round(q / step)``. Residual: a sawtooth of half a step. Nothing else looks like it.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 
 
 @wp.func

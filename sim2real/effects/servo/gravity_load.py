@@ -5,9 +5,7 @@ on mechanics). Residual: a static error that grows with the sine of the angle. C
 larger kp together with a sensor gain; another gain or supply voltage distinguishes them.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 from sim2real.effects.elementary import sine
 
 

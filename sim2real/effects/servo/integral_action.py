@@ -5,9 +5,7 @@ seconds, and overshoot after long holds. Confused with: a viscoelastic skin or r
 under load distinguishes them.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 
 
 @wp.func

@@ -5,9 +5,7 @@ keep their order. Residual: noise proportional to speed. Confused with: sensor n
 of the squared residual on the squared speed distinguishes them.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 
 _SEED = wp.constant(31)
 """A separate random stream, independent of other effects."""

@@ -8,9 +8,7 @@ proportional to load that differs between driving and back-driving. Confused wit
 which absorbs nearly all of it; another load or gain distinguishes them.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 from sim2real.effects.elementary import decay
 
 FADES_FROM_S_PER_RAD = 0.02

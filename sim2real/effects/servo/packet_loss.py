@@ -4,9 +4,7 @@ Each is lost with ``probability``, independently. Residual: isolated spikes prop
 change of the set-point. Confused with: latency jitter, whose delay is bounded by its width.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 
 _SEED = wp.constant(33)
 """A separate random stream, independent of other effects."""

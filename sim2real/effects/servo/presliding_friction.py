@@ -8,9 +8,7 @@ loops within a degree of each reversal. Confused with: Coulomb friction, complia
 distinguish them, by their minor loops.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 from sim2real.effects.elementary import decay
 
 

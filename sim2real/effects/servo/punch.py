@@ -9,9 +9,7 @@ less friction, a larger kp; small and large steps under one load distinguish the
 differ.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 
 
 @wp.func

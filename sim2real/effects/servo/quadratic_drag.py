@@ -5,9 +5,7 @@ water. Residual: a third harmonic at high speed. Confused with: a smaller kp and
 which absorb three quarters of it; several amplitudes, or air against water, distinguish them.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 
 
 @wp.func

@@ -5,9 +5,7 @@ ramps after steps, their duration proportional to the step. Confused with: torqu
 voltage sag; another supply voltage or inertia distinguishes them, as neither changes the ramp.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import LIMITS, Effect, F, Parameter, Row
+from sim2real.effects.effect import LIMITS, Effect, F, Parameter, Row, wp
 
 
 @wp.func

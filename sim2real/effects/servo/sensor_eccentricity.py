@@ -9,9 +9,7 @@ Residual: a sine of the angle, the same in both directions and at all speeds. Co
 cogging.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 from sim2real.effects.elementary import sine
 
 RANGE_RAD = 0.8

@@ -5,9 +5,7 @@ arctangent. Confused with: latency and a command filter; only a second sensor di
 Both filters together are told from one.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 from sim2real.effects.elementary import decay
 
 

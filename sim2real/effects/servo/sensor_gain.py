@@ -4,9 +4,7 @@
 skin; another servo gain or supply voltage distinguishes them.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 
 
 @wp.func

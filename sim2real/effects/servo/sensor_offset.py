@@ -3,9 +3,7 @@
 Residual: a constant. Confused with: a gravity load about a level position.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 
 
 @wp.func

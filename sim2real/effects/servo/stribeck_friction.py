@@ -7,9 +7,7 @@ error just after reversals, and stick-slip at low speed. Confused with: Coulomb 
 contains; only motion below ``velocity_rad_s`` distinguishes them.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 from sim2real.effects.elementary import decay
 
 

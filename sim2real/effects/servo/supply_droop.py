@@ -6,9 +6,7 @@ motors). Residual: a gain that decreases linearly with time, equally on all join
 thermal derating, clock drift; a charged battery distinguishes them.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 
 
 @wp.func

@@ -7,9 +7,7 @@ torque that PD control commands at an error of 0.1 rad. Residual: a gain that de
 of work and recovers at rest. Confused with: supply droop; a pause distinguishes them.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 from sim2real.effects.elementary import decay
 
 

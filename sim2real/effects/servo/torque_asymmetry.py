@@ -5,9 +5,7 @@ two directions. Residual: an error that differs between rising and falling steps
 asymmetric friction.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 
 
 @wp.func

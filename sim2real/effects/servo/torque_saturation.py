@@ -9,9 +9,7 @@ rate limit, voltage sag; additional inertia distinguishes them, as it increases 
 not that of a rate limit.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import LIMITS, Effect, F, Parameter, Row
+from sim2real.effects.effect import LIMITS, Effect, F, Parameter, Row, wp
 
 
 @wp.func

@@ -7,9 +7,7 @@ Residual: an error proportional to acceleration. Confused with: latency, tens of
 a pendulum distinguishes them, as its weight is known.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 
 
 @wp.func

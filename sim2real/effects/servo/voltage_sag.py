@@ -8,9 +8,7 @@ that decreases with load. Confused with: torque saturation, load friction; movin
 the same supply distinguishes them.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 
 
 @wp.func
