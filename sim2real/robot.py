@@ -3,15 +3,13 @@
 A file needs only the values that are used: a missing value is an error where it is used.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import Field, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -19,15 +17,12 @@ from sim2real.appendages import Appendage, read_appendage
 from sim2real.arm.description import Arm, read_arm
 from sim2real.arrays import Array
 from sim2real.csv_columns import LARGEST_ANGLE_RAD
-from sim2real.display import NotebookDisplay, from_report
+from sim2real.display import Drawing, NotebookDisplay, from_report
 from sim2real.errors import InputError
 from sim2real.inference.normal import Z90
 from sim2real.model import Model
 from sim2real.recording import Recording
 from sim2real.structured import Fields, read_toml
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Place = tuple[str, str]
 """A file and a table in it, for messages."""
@@ -261,9 +256,9 @@ class Density(NotebookDisplay):
         """Lower and upper ends of 90 % intervals, shape (2, L); None where ``sd`` is."""
         return None if self.sd is None else self.value + Z90 * np.outer([-1, 1], self.sd)
 
-    def plot(self) -> Figure:
+    def plot(self) -> Drawing:
         """Bar chart of the normalised density of each link."""
-        figure: Figure = from_report("ranges.density_figure")(self)
+        figure: Drawing = from_report("ranges.density_figure")(self)
         return figure
 
 

@@ -1,22 +1,16 @@
 """Designed recordings as sections and figures: what they tell of parameters, or of rival sets."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.design.plan import Design, JointDesign, NextRecording
 from sim2real.design.tell_apart import JointForecast, RivalDesign
 from sim2real.diagnose.rival_sets import task
+from sim2real.display import Drawing
 from sim2real.report.page import Block, Note, Section, Table, Text
 from sim2real.report.series import Panel, series_block, series_figure
 from sim2real.units import readable_name, three_digits
 from sim2real.viewers.scenes import COMMAND, SignalGroup
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Drawing
 
 _CAPTION = (
     "Command and expected motion; half-width of the 90 % interval of each parameter if the "

@@ -1,21 +1,16 @@
 """Figures and phrases of the diagnosis: bars, residuals over time, missing torque."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sim2real.diagnose.result import Diagnosis, JointSeries, percent
+from sim2real.display import Drawing
 from sim2real.report.drawing import ACCENT, FAINT, INK, MUTED, RULE, new_figure
 from sim2real.report.page import printable
 from sim2real.report.series import Panel, in_mrad
 from sim2real.viewers.scenes import residual_group
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 POINTS = 1500
 """Maximum number of points of a cloud."""
@@ -24,7 +19,7 @@ _INSIDE = 99.5
 _ROW, _TITLE = 38.0, 36.0
 
 
-def bar_figure(rows: Sequence[tuple[float, str, bool]]) -> Figure:
+def bar_figure(rows: Sequence[tuple[float, str, bool]]) -> Drawing:
     """Plot probabilities as bars with labels above them, some of them highlighted."""
     with new_figure(_ROW * len(rows) + _TITLE, "probability of each candidate") as figure:
         axes = figure.subplots()
@@ -39,7 +34,7 @@ def bar_figure(rows: Sequence[tuple[float, str, bool]]) -> Figure:
     return figure
 
 
-def candidate_figure(diagnosis: Diagnosis) -> Figure:
+def candidate_figure(diagnosis: Diagnosis) -> Drawing:
     """Probability of each candidate; only the verdict if there is none."""
     named = []
     for effect in diagnosis.effects:
@@ -95,7 +90,7 @@ def residual_panels(
     return panels
 
 
-def torque_figure(evidence: Sequence[JointSeries], unit: str) -> Figure:
+def torque_figure(evidence: Sequence[JointSeries], unit: str) -> Drawing:
     """Plot the torque missing from the plain servo against speed and position."""
     names = ("speed", "position", "torque", "torque_sd")
     parts = ([getattr(series, name) for series in evidence] for name in names)

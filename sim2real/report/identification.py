@@ -1,14 +1,12 @@
 """Identification section of a report: parameters, their intervals, fits."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sim2real.arrays import Array, Mask
+from sim2real.display import Drawing
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording
 from sim2real.report.drawing import ACCENT, INK, new_figure
@@ -16,9 +14,6 @@ from sim2real.report.page import Block, Note, Section, Table, Text, printable
 from sim2real.report.quantity import effect_text, milliradians, quantities, quantity_table
 from sim2real.report.series import fit_panels, series_block
 from sim2real.units import readable_name
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Drawing
 
 Fit = tuple[Recording, str, Array, Mask | None]
 _SHADED = (

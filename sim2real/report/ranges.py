@@ -1,13 +1,12 @@
 """Ranges and posteriors: tables, figures and sections of a report."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from sim2real.arrays import Array
+from sim2real.display import Drawing
 from sim2real.posterior.chain import LEAST_TIMES
 from sim2real.posterior.predictive_check import LEVELS
 from sim2real.posterior.servo import ServoPosterior
@@ -23,10 +22,6 @@ from sim2real.report.series import Panel, in_mrad, series_block
 from sim2real.robot import Density
 from sim2real.units import readable_name
 from sim2real.viewers.scenes import MEASURED, SignalGroup
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure as Drawing
 
 _LEAD = (
     "Ranges of each parameter in which the real robot may differ from its simulator. For a policy "
@@ -317,7 +312,7 @@ def corner_figure(posterior: ServoPosterior, joint: str) -> Drawing:
     return figure
 
 
-def _regions(axes: Axes, values: Array, ends: Array) -> None:
+def _regions(axes: Any, values: Array, ends: Array) -> None:  # noqa: ANN401 - a panel
     """Fill the smallest regions that contain each share of the draws."""
     from scipy.ndimage import gaussian_filter
 

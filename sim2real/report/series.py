@@ -1,17 +1,16 @@
 """Time series as a figure, and as plots of a page that a reader can zoom into with uPlot."""
 
-from __future__ import annotations
-
 import base64
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from sim2real.arrays import Array, Index, Mask
+from sim2real.display import Drawing
 from sim2real.inference.segments import runs
 from sim2real.recording import Recording
 from sim2real.report.drawing import (
@@ -26,9 +25,6 @@ from sim2real.report.drawing import (
 )
 from sim2real.report.page import Figure, printable
 from sim2real.viewers.scenes import COMMAND, MEASURED, SignalGroup, fit_groups
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Drawing
 
 GAP_INTERVALS = 3.0
 LONGEST = 4000

@@ -1,19 +1,14 @@
 """The library of servos as a table, as text, as a row in Markdown and as a plot."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sim2real.display import Drawing
 from sim2real.report.drawing import ACCENT, INK, new_figure
 from sim2real.report.page import Note, Section, Table, printable
 from sim2real.report.quantity import milliradians
 from sim2real.servo_library.catalogue import ServoEntry
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 COLUMNS = ("name", "servo", "supply", "gain", "load", "held out", "date", "origin")
 _HELD_OUT = "held out: RMS error on trajectories that no fit used, where it was measured"
@@ -48,7 +43,7 @@ def markdown_row(entry: ServoEntry) -> str:
     return f"| {' | '.join(map(printable, row))} |"
 
 
-def motor_figure(entries: Sequence[ServoEntry]) -> Figure:
+def motor_figure(entries: Sequence[ServoEntry]) -> Drawing:
     """Stall torque and no-load speed of servos with a known line; those identified are marked."""
     speed = "no_load_speed_rad_s"
     lines = [x for x in entries if not x.joint.per_inertia and x.joint.motor.get(speed)]
