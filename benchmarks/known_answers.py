@@ -33,9 +33,8 @@ from sim2real.output import provenance, write_json, write_whole
 from sim2real.readings import wrong_readings
 from sim2real.recording import Recording, read_commands, read_recording
 from sim2real.report.diagnosis_plots import plain, sure
-from sim2real.report.drawing import svg
+from sim2real.report.drawing import ACCENT, FAINT, INK, MUTED, RULE, new_figure, svg
 from sim2real.report.page import Figure, Note, Section, Table, write_page
-from sim2real.report.style import ACCENT, FAINT, INK, MUTED, RULE, house_style, new_figure
 from sim2real.units import readable, readable_name
 
 REPORT = ROOT / "reports" / "known_answers"
@@ -167,8 +166,7 @@ def drawn(title: str, t: Array, measured: Array, angles: dict[str, Array], floor
     first = int(np.argmax((total[ends] - total) * (t <= max(t[0], t[-1] - DRAWN_S))))
     shown = slice(first, ends[first] + 1, max(1, (ends[first] - first) // DRAWN_POINTS))
     looks = {"plain": (INK, "--", "plain servo"), "diagnosis": (ACCENT, "-", "as diagnosed")}
-    with house_style():
-        figure = new_figure(200, f"{title}: an unseen motion, measured and simulated")
+    with new_figure(200, f"{title}: an unseen motion, measured and simulated") as figure:
         angle, error = figure.subplots(1, 2)
         angle.plot(t[shown], measured[shown], color=FAINT, linewidth=4, label="measured")
         error.axhspan(-floor, floor, color=RULE, linewidth=0)
@@ -185,8 +183,7 @@ def drawn(title: str, t: Array, measured: Array, angles: dict[str, Array], floor
 def overview(rows: dict[str, Any]) -> str:
     """Errors before and after, relative to the floor, of all cases on one logarithmic axis."""
     shown = [(row["title"], row["errors"]) for row in rows.values() if "errors" in row]
-    with house_style():
-        figure = new_figure(70 + 17 * len(shown), "errors on unseen motions, before and after")
+    with new_figure(70 + 17 * len(shown), "errors on unseen motions, before and after") as figure:
         axes = figure.subplots()
         y = np.arange(len(shown))
         before, _, after, floor = np.array([list(errors.values()) for _, errors in shown]).T

@@ -68,10 +68,9 @@ class Simulated(NotebookDisplay):
 
     def plot(self) -> Figure:
         """The paths of the heads, from above."""
-        from sim2real.report.style import house_style, new_figure
+        from sim2real.report.drawing import new_figure
 
-        with house_style():
-            figure = new_figure(420, "paths of the heads, from above")
+        with new_figure(420, "paths of the heads, from above") as figure:
             axes = figure.subplots()
             for swim in self.swims:
                 axes.plot(swim.columns[POSES[0]], swim.columns[POSES[1]], label=swim.name)

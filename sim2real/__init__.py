@@ -40,26 +40,17 @@ if TYPE_CHECKING:
     from sim2real.version import __version__ as __version__
 
 _NAMES = {
-    "rl.verbs": ("forecast",),
-    "sim.verbs": ("calibrate", "design", "diagnose", "fit_twin", "simulate"),
-    "sim2real.errors": ("InputError",),
-    "sim2real.exchange": ("export", "import_log"),
-    "sim2real.model": ("Model", "read_model", "write_model"),
-    "sim2real.recording": ("Recording", "read_recording", "write_recording"),
-    "sim2real.robot": ("Robot", "read_robot"),
-    "sim2real.verbs": (
-        "check",
-        "density",
-        "identify",
-        "latency",
-        "posterior",
-        "predict",
-        "ranges",
-        "servos",
-    ),  # fmt: skip
-    "sim2real.version": ("__version__",),
+    "rl.verbs": "forecast",
+    "sim.verbs": "calibrate design diagnose fit_twin simulate",
+    "sim2real.errors": "InputError",
+    "sim2real.exchange": "export import_log",
+    "sim2real.model": "Model read_model write_model",
+    "sim2real.recording": "Recording read_recording write_recording",
+    "sim2real.robot": "Robot read_robot",
+    "sim2real.verbs": "check density identify latency posterior predict ranges servos",
+    "sim2real.version": "__version__",
 }
-_HOMES = {name: module for module, names in _NAMES.items() for name in names}
+_HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 """Module of each name. Six verbs need the fluid or policies, in the packages ``sim`` and ``rl``
 above; they are imported when a program uses them. Besides the command line, only this module
 imports upwards."""

@@ -19,8 +19,6 @@ Steady coefficients: for oscillations that are small against the body's size, dr
 (Keulegan and Carpenter, J. Res. Nat. Bur. Stand. 60 (1958) 423).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, pi, sqrt, ulp
@@ -229,15 +227,13 @@ def read_appendage(fields: Fields, length_m: float | None) -> Appendage:
     )
 
 
-def _lengths(
-    fields: Fields, name: str, count: int, *, above_zero: bool = False, largest_m: float = 10.0
-) -> list[float]:
+def _lengths(fields: Fields, name: str, count: int, *, above_zero: bool = False) -> list[float]:
     kind = "lengths in m above 0" if above_zero else "distances in m"
     names = "length, diameter" if count == 2 else "along, across, up"
     low = ulp(0.0) if above_zero else -inf
     found = fields.numbers(name, f"{count} {kind}: {names}", count, low=low)
-    if max(abs(v) for v in found) > largest_m:
-        raise fields.error(name, f"{count} {kind} within {largest_m:g} m (are they millimetres?)")
+    if max(map(abs, found)) > 10.0:
+        raise fields.error(name, f"{count} {kind} within 10 m (are they millimetres?)")
     return found
 
 

@@ -1,7 +1,5 @@
 """Types of NumPy arrays, named by what they hold; a docstring gives each one's shape."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -4,8 +4,6 @@ A model file lists them under ``body.effects``; an effect of a material names it
 They are defined in ``sim2real.effects.body`` and ``sim2real.effects.camera``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

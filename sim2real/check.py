@@ -1,7 +1,5 @@
 """Check of a recording before a fit: clock, joints, findings and identifiable parameters."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +11,7 @@ from sim2real.errors import RecordingFinding
 from sim2real.findings import joint_findings, measured_joint, merged, moves, recording_findings
 from sim2real.identification.advice import expected_precision
 from sim2real.plausible import validate_recording
-from sim2real.recording import Load, Recording
+from sim2real.recording import Recording
 from sim2real.robot import Robot
 
 
@@ -69,27 +67,11 @@ class Checks(tuple[Check, ...]):
 
 
 def check(recording: Recording, robot: Robot | None = None, *, seed: int = 0) -> Check:
-    """Check a recording; with ``robot``, also against its limits and data sheets.
-
-    Args:
-        recording: The recording.
-        robot: The robot that was recorded.
-        seed: Seed of the search for an approximate servo, which predicts the precision.
-
-    Raises:
-        InputError: If the robot lacks a joint of the recording, or a unit or a column must be in
-            error (``validate_recording``).
-    """
+    """Check a recording, as ``verbs.check`` does those of a list."""
     validate_recording(recording, robot)
-    index = range(len(recording.joints))
-    return Check(
-        recording.name,
-        recording.kind,
-        recording.duration_s,
-        timing(recording.t, recording.position),
-        tuple(_check_joint(recording, j, robot, seed) for j in index),
-        tuple(recording_findings(recording)),
-    )
+    clock, found = timing(recording.t, recording.position), tuple(recording_findings(recording))
+    joints = tuple(_check_joint(recording, j, robot, seed) for j in range(len(recording.joints)))
+    return Check(recording.name, recording.kind, recording.duration_s, clock, joints, found)
 
 
 def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int) -> JointCheck:
@@ -102,7 +84,11 @@ def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int) -
         identifiable = ("what can be identified is not stated while the warnings hold",)
         if all(finding.severity == "note" for finding in findings):
             identifiable = expected_precision(recording, name, seed=seed)
-    load = recording.loads.get(name)
+    load, stated = recording.loads.get(name), "not given"
+    if load is not None:
+        stated = f"{load.inertia_kgm2:.3g} kg m2"
+        if load.gravity_Nm:
+            stated += f", {load.pendulum_mass_kg:.3g} kg at {load.pendulum_length_m:.3g} m"
     return JointCheck(
         joint=name,
         range_rad=_range(recording.position[:, j]),
@@ -111,7 +97,7 @@ def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int) -
         noise_rad=data.noise_rad,
         step_rad=data.step_rad,
         missing=recording.missing(j),
-        load=_load_text(load) if recording.kind == "servo" else recording.medium,
+        load=stated if recording.kind == "servo" else recording.medium,
         findings=findings,
         identifiable=identifiable,
     )
@@ -120,12 +106,3 @@ def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int) -
 def _range(values: Array) -> float:
     finite = values[np.isfinite(values)]
     return float(np.ptp(finite)) if finite.size else 0.0
-
-
-def _load_text(load: Load | None) -> str:
-    if load is None:
-        return "not given"
-    text = f"{load.inertia_kgm2:.3g} kg m2"
-    if load.gravity_Nm:
-        text += f", {load.pendulum_mass_kg:.3g} kg at {load.pendulum_length_m:.3g} m"
-    return text

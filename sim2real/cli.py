@@ -4,8 +4,6 @@ The options of a command are defined in a separate file ``options``, which is im
 command; its code is imported only when it runs, so that help is fast.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import importlib
@@ -133,7 +131,7 @@ def _run(options: argparse.Namespace) -> int:
     with warnings.catch_warnings(), results() as files, contextlib.ExitStack() as stack:
         said = f"sim2real {options.command}:"
         warnings.showwarning = lambda text, *_, **__: print(said, "warning:", text, file=sys.stderr)
-        check_files(options, files)
+        check_files(options)
         options.files = files
         if is_standard_output(getattr(options, "out", None) or ""):
             stack.enter_context(contextlib.redirect_stdout(sys.stderr))

@@ -1,11 +1,8 @@
 """The clock of a recording: sampling rate, gaps and findings about its times."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
-from typing import Literal
 
 import numpy as np
 
@@ -72,10 +69,10 @@ def _times(t: Array, angle: Array) -> Array:
     return measured if measured.size > 1 else t
 
 
-def _multiples(steps: Array, usual: float, nearly: float = 0.1) -> Array:
+def _multiples(steps: Array, usual: float) -> Array:
     """Number of usual steps in each step where that is nearly whole, otherwise 1."""
     whole = np.maximum(np.round(steps / usual), 1)
-    return np.where(np.abs(steps / usual - whole) < nearly, whole, 1.0)
+    return np.where(np.abs(steps / usual - whole) < 0.1, whole, 1.0)
 
 
 def check_sampling(
@@ -116,21 +113,19 @@ def recording_clock_findings(
     joints: Sequence[str], t: Array, position: Array
 ) -> list[RecordingFinding]:
     """Findings about the times ``t`` (T,) at which angles (T, J), NaN where not, were measured."""
-    concerned: dict[tuple[str, Literal["note", "warning"]], list[str]] = {}
+    concerned: dict[RecordingFinding, list[str]] = {}
     for joint, angle in zip(joints, position.T, strict=True):
-        for sentence in clock_findings(_times(t, angle)):
-            concerned.setdefault((sentence, "note"), []).append(joint)
-        for sentence in dropped_rows(t, angle):
-            concerned.setdefault((sentence, "warning"), []).append(joint)
+        found = [RecordingFinding(text) for text in clock_findings(_times(t, angle))]
+        found += [RecordingFinding(text, "warning") for text in dropped_rows(t, angle)]
+        for finding in found:
+            concerned.setdefault(finding, []).append(joint)
     return [
-        RecordingFinding(text if len(some) == len(joints) else f"{', '.join(some)}: {text}", level)
-        for (text, level), some in concerned.items()
+        x if len(some) == len(joints) else replace(x, text=f"{', '.join(some)}: {x.text}")
+        for x, some in concerned.items()
     ]
 
 
-def dropped_rows(
-    t: Array, angle: Array, *, least_share: float = 0.01, even: float = 0.1
-) -> Iterator[str]:
+def dropped_rows(t: Array, angle: Array) -> Iterator[str]:
     """A finding about single missing rows, where steps between angles (T,) are doubled."""
     rows = np.flatnonzero(np.isfinite(angle))
     if rows.size < 3:
@@ -139,7 +134,7 @@ def dropped_rows(
     usual = float(np.median(steps))
     jitter = timing(t[rows], np.zeros((rows.size, 1))).jitter_s
     twice = (np.diff(rows) == 1) & (_multiples(steps, usual) == 2)
-    if jitter < even * usual and twice.sum() > max(1, least_share * steps.size):
+    if jitter < 0.1 * usual and twice.sum() > max(1, 0.01 * steps.size):
         first = t[rows[np.flatnonzero(twice)[0]]]
         yield (
             f"{twice.sum()} samples are missing one at a time ({100 * twice.mean():.2g} % of the "
@@ -148,7 +143,7 @@ def dropped_rows(
         )
 
 
-def clock_findings(t: Array, *, slowest_hz: float = 20.0) -> Iterator[str]:
+def clock_findings(t: Array) -> Iterator[str]:
     """Findings about times of measurements (T,), one sentence each."""
     clock = timing(t, np.zeros((t.size, 1)))
     steps, usual = np.diff(t), 1 / clock.rate_hz
@@ -168,11 +163,9 @@ def clock_findings(t: Array, *, slowest_hz: float = 20.0) -> Iterator[str]:
     elif clock.jitter_s > 0.2 * usual:
         varies = 100 * clock.jitter_s / usual
         yield f"The sampling rate is far from constant: steps vary by {varies:.0f} %."
-    if clock.rate_hz < slowest_hz:
-        yield (
-            f"At {clock.rate_hz:.3g} Hz a servo's latency and damping (tens of milliseconds) "
-            "are hardly identifiable."
-        )
+    if clock.rate_hz < 20.0:
+        times = "latency and damping (tens of milliseconds)"
+        yield f"At {clock.rate_hz:.3g} Hz a servo's {times} are hardly identifiable."
     if clock.gaps:
         start, longest = max(clock.gaps, key=lambda gap: gap[1])
         number = "A gap" if len(clock.gaps) == 1 else f"{len(clock.gaps)} gaps, the longest"

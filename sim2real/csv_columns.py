@@ -1,7 +1,5 @@
 """Read columns of a CSV file as numbers; errors name row and column."""
 
-from __future__ import annotations
-
 import re
 from itertools import islice
 from pathlib import Path
@@ -55,7 +53,9 @@ def column(csv: Path, table: pd.DataFrame, name: str) -> Array:
     """A column as numbers plausible for the unit in its name, NaN where empty, shape (T,)."""
     if name not in table:
         columns = [str(column) for column in table.columns]
-        found = f"no column {name} among {_listed(columns)}"
+        shortened = [x if len(x) <= 40 else f"{x[:39]}…" for x in columns[:8]]
+        omitted = f" and {len(columns) - 8} more" if len(columns) > 8 else ""
+        found = f"no column {name} among {', '.join(shortened)}{omitted}"
         times = [c for c in columns if name == "t_s" and (c.lower() == "t" or "time" in c.lower())]
         close = nearest(name, columns) or next(iter(times), None)
         hint = f" (did you mean {close}?)" if close else ""
@@ -76,13 +76,6 @@ def column(csv: Path, table: pd.DataFrame, name: str) -> Array:
         place, found = cell(csv, int(huge[0]), name), f"{values[huge[0]]:g}"
         raise InputError(csv, place, found, f"at most {largest:g} {unit} in size")
     return values
-
-
-def _listed(columns: list[str], most: int = 8) -> str:
-    """The first columns of a header, shortened for a message."""
-    named = [column if len(column) <= 40 else f"{column[:39]}…" for column in columns[:most]]
-    omitted = len(columns) - len(named)
-    return ", ".join(named) + (f" and {omitted} more" if omitted else "")
 
 
 def cell(csv: Path, index: int, column: str) -> str:

@@ -1,10 +1,15 @@
 """Display of results by functions of ``sim2real.report``, which are imported on demand."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    Drawing = Figure
+else:
+    Drawing = Any  # Matplotlib is imported where a figure is drawn
 
 
 def from_report(name: str) -> Callable[..., Any]:

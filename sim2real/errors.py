@@ -14,33 +14,30 @@ from os import PathLike
 from typing import Any, Literal
 
 _LONGEST_SHOWN = 80  # characters of a value in a message
+_EXTRAS = {
+    "report": {"matplotlib": "Matplotlib", "jinja2": "Jinja", "markupsafe": "Jinja"},
+    "ros": {"rosbags": "rosbags"},
+    "sim": {"PIL": "Pillow", "av": "PyAV"},
+    "rl": {
+        "torch": "PyTorch", "stable_baselines3": "Stable-Baselines3", "gymnasium": "Gymnasium",
+    },
+    "tensorboard": {"tensorboard": "TensorBoard"},
+    "render": {"moviepy": "MoviePy", "pygame": "pygame"},
+    "hardware": {"serial": "pyserial", "cv2": "OpenCV"},
+    "arviz": {"arviz": "ArviZ"},
+    "completion": {"shtab": "shtab"},
+    "onnx": {"onnx": "package onnx"},
+    "mujoco": {"mujoco": "MuJoCo"},
+    "casadi": {"casadi": "CasADi"},
+    "lerobot": {"pyarrow": "pyarrow"},
+    "arm": {"pinocchio": "Pinocchio"},
+    "view": {"rerun": "rerun-sdk", "mcap": "mcap"},
+    "cluster": {"ray": "Ray"},
+}  # fmt: skip
+"""Names of optional libraries by extra and module."""
 _LIBRARIES = {
-    "matplotlib": ("Matplotlib", "report"),
-    "jinja2": ("Jinja", "report"),
-    "markupsafe": ("Jinja", "report"),
-    "rosbags": ("rosbags", "ros"),
-    "PIL": ("Pillow", "sim"),
-    "av": ("PyAV", "sim"),
-    "torch": ("PyTorch", "rl"),
-    "stable_baselines3": ("Stable-Baselines3", "rl"),
-    "gymnasium": ("Gymnasium", "rl"),
-    "tensorboard": ("TensorBoard", "tensorboard"),
-    "moviepy": ("MoviePy", "render"),
-    "pygame": ("pygame", "render"),
-    "serial": ("pyserial", "hardware"),
-    "cv2": ("OpenCV", "hardware"),
-    "arviz": ("ArviZ", "arviz"),
-    "shtab": ("shtab", "completion"),
-    "onnx": ("package onnx", "onnx"),
-    "mujoco": ("MuJoCo", "mujoco"),
-    "casadi": ("CasADi", "casadi"),
-    "pyarrow": ("pyarrow", "lerobot"),
-    "pinocchio": ("Pinocchio", "arm"),
-    "rerun": ("rerun-sdk", "view"),
-    "mcap": ("mcap", "view"),
-    "ray": ("Ray", "cluster"),
+    module: (title, extra) for extra, names in _EXTRAS.items() for module, title in names.items()
 }
-"""Name and extra of each optional library, by module."""
 
 
 class InputError(Exception):

@@ -1,7 +1,5 @@
 """Findings about a recording and its joints, one sentence each."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
@@ -97,12 +95,10 @@ def merged(rows: Iterable[tuple[str, RecordingFinding]]) -> list[RecordingFindin
         about = finding.text.removeprefix(joint).removeprefix("'s").lstrip()
         joints.setdefault(about, []).append(joint)
         findings[about] = finding
-    return [
-        replace(found, text=f"{', '.join(some)}: {about}")
-        if len(some := joints[about]) > 1
-        else found
-        for about, found in findings.items()
-    ]
+    for about, some in joints.items():
+        if len(some) > 1:
+            findings[about] = replace(findings[about], text=f"{', '.join(some)}: {about}")
+    return list(findings.values())
 
 
 def joint_findings(
@@ -132,7 +128,7 @@ def joint_findings(
     elif float(np.ptp(position[finite])) <= min(least, 0.5 * span):
         yield data.warning(f" does not move, although its command spans {span:.3g} rad.")
     elif recording.kind == "servo":
-        yield from _motion(data, finite, gravity=load is None or load.gravity_Nm > 0)
+        yield from _motion(data, finite, load is None or load.gravity_Nm > 0)
     yield from _start(data, finite)
     yield from _excitation(data)
     if sheet is not None:
@@ -193,19 +189,12 @@ def _times(count: int) -> str:
     return {1: "once", 2: "twice"}.get(count, f"{count} times")
 
 
-def _motion(
-    data: MeasuredJoint,
-    finite: Mask,
-    *,
-    gravity: bool,
-    longest_delay_s: float = 1.0,
-    stuck_s: float = 0.5,
-) -> Iterator[RecordingFinding]:
+def _motion(data: MeasuredJoint, finite: Mask, gravity: bool) -> Iterator[RecordingFinding]:
     t, command, position = data.t[finite], data.command[finite], data.position[finite]
     match = _correlations(t, command, position, LONGEST_LATENCY_S)
     if match.size and match.max() < 0 and match.min() < -0.5:
         # Half a period of a periodic command looks like a reversed sign.
-        late = _correlations(t, command, position, longest_delay_s).max() > -0.8 * match.min()
+        late = _correlations(t, command, position, 1.0).max() > -0.8 * match.min()
         against = data.error(
             f"moves against its command (correlation {match.min():.2f})",
             ": the sign of one of them is reversed"
@@ -219,7 +208,7 @@ def _motion(
         # Commands at the end of the interval have not taken effect yet.
         due = command[a : b + 1][t[a : b + 1] < t[b] - 2 * LONGEST_LATENCY_S]
         moved = float(np.ptp(due)) if due.size else 0.0
-        if t[b] - t[a] > stuck_s and moved > max(0.1, 10 * data.step_rad):
+        if t[b] - t[a] > 0.5 and moved > max(0.1, 10 * data.step_rad):
             yield data.warning(
                 f" reads exactly {position[a]:.4g} rad from {t[a]:.4g} to {t[b]:.4g} s "
                 f"while its command moves by {moved:.2g} rad: friction, gears or sensor may be "
@@ -272,13 +261,11 @@ def _start(data: MeasuredJoint, finite: Mask) -> Iterator[RecordingFinding]:
         )
 
 
-def _excitation(
-    data: MeasuredJoint, *, fewest_moves: int = 4, slowest_hz: float = 0.2
-) -> Iterator[RecordingFinding]:
+def _excitation(data: MeasuredJoint) -> Iterator[RecordingFinding]:
     count = moves(data.t, data.command)
     if not count:
         return
-    if count < fewest_moves:
+    if count < 4:
         times = ("once", "twice", "three times")[count - 1]
         yield data.finding(
             f" is commanded to move only {times}: too little to hold out for validation."
@@ -287,14 +274,13 @@ def _excitation(
     spread = float(np.average((data.command[1:] - data.command.mean()) ** 2, weights=step))
     speed = float(np.average((np.diff(data.command) / step) ** 2, weights=step))
     frequency = float(np.sqrt(speed / spread)) / (2 * np.pi)  # exact for a sine
-    if frequency < slowest_hz:
+    if frequency < 0.2:
         slow = f" is moved very slowly (about {frequency:.2g} Hz)"
         yield data.finding(f"{slow}: damping, latency and inertia are hardly identifiable.")
 
 
-def _data_sheet(
-    data: MeasuredJoint, sheet: Joint, *, beyond_rad: float = 0.1
-) -> Iterator[RecordingFinding]:
+def _data_sheet(data: MeasuredJoint, sheet: Joint) -> Iterator[RecordingFinding]:
+    beyond_rad = 0.1
     if sheet.states("limits_rad"):
         low, high = sheet.limits_rad
         extremes = (float(data.command.min()), float(data.command.max()))

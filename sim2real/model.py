@@ -6,7 +6,6 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import product
 from math import nan
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -17,7 +16,7 @@ from sim2real.display import NotebookDisplay, from_report
 from sim2real.inference.normal import LEVEL
 from sim2real.output import write_json
 from sim2real.recording import Load, read_load
-from sim2real.structured import Fields, number_or_infinity, read_json
+from sim2real.structured import Fields, finite_number, read_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,6 +26,7 @@ SCHEMA = "sim2real.model/1"
 _ROTOR_IN_LOAD = "rotor_in_load"
 """False in files. In earlier ones, which lack it, the load includes the rotor of a gear train."""
 _ROTOR, _LEFT_OUT = "rotor_inertia_kgm2", "unmodelled_inertia"
+_GAINS = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
 
 Law = Literal["pd", "motor", "current_limited"]
 LAWS: tuple[Law, ...] = get_args(Law)
@@ -86,8 +86,7 @@ class JointModel(NotebookDisplay):
     @property
     def values(self) -> dict[str, float]:
         """All parameters by name, in SI units."""
-        names = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s", "inertia_kgm2")
-        found = {name: vars(self)[name] for name in names}
+        found = {name: vars(self)[name] for name in (*_GAINS, "inertia_kgm2")}
         found |= {f"motor.{name}": value for name, value in self.motor.items()}
         for effect in self.effects:
             found |= {f"{effect.effect}.{name}": x for name, x in effect.parameters.items()}
@@ -183,12 +182,21 @@ def with_inertia(effects: Sequence[FittedEffect], added: float) -> tuple[FittedE
 def write_model(model: Model, path: str | os.PathLike[str]) -> None:
     """Write ``MODEL.json``; an infinite end of an interval is written as null."""
     content = {"schema": SCHEMA, _ROTOR_IN_LOAD: False, **vars(model)}
-    content["joints"] = {name: _joint_content(joint) for name, joint in model.joints.items()}
+    content["joints"] = {}
+    for name, joint in model.joints.items():
+        one = content["joints"][name] = {**vars(joint), "load": joint.load and vars(joint.load)}
+        for key in ("per_inertia", "motor", "load", "by_prior", "standard_error"):
+            if not one[key]:
+                del one[key]
+        ends = {
+            key: [end if math.isfinite(end) else None for end in pair]
+            for key, pair in joint.interval.items()
+        }
+        one |= {"interval": ends, "effects": [vars(effect) for effect in joint.effects]}
     content["effects"] = [vars(effect) for effect in model.effects]
     content["arm"] = model.arm and arm_content(model.arm)
     del content["residuals"]
-    stated = {k: x for k, x in content.items() if x is not None}
-    write_json(path, stated)
+    write_json(path, {key: x for key, x in content.items() if x is not None})
 
 
 def read_model(path: str | os.PathLike[str]) -> Model:
@@ -199,32 +207,31 @@ def read_model(path: str | os.PathLike[str]) -> Model:
     level = top.number("interval_level", LEVEL, above=0)
     if level >= 1:
         raise top.error("interval_level", "a number between 0 and 1")
-    if top.content.get(_ROTOR_IN_LOAD, True):
-        servos = {name: _with_added_rotor(joint) for name, joint in servos.items()}
+    for name, joint in servos.items():
+        rotor = train_rotor(joint.effects)
+        if rotor and top.content.get(_ROTOR_IN_LOAD, True):
+            # The same motion, where the rotor of a gear train adds to the stated load's inertia.
+            effects = with_inertia(joint.effects, joint.motor.get(_ROTOR, 0.0) - rotor)
+            motor = {key: value for key, value in joint.motor.items() if key != _ROTOR}
+            servos[name] = replace(joint, motor=motor, effects=effects)
+    statistics = {}
+    for signal in fit.content:
+        one = fit.table(signal)
+        figures = one.content.items()
+        statistics[signal] = {
+            name: None if x is None else one.number(name, infinite=True) for name, x in figures
+        }
     return Model(
         joints=servos,
         body=_read_body(top.table("body")),
         effects=_read_effects(top),
-        fit={signal: _read_figures(fit.table(signal)) for signal in fit.content},
+        fit=statistics,
         notes=top.sentences("notes"),
         provenance=top.table("provenance").content,
         arm=arm_from(top.table("arm")) if "arm" in top else None,
         firmware_p_gain=top.optional_number("firmware_p_gain", above=0),
         interval_level=level,
     )
-
-
-def _joint_content(joint: JointModel) -> dict[str, Any]:
-    content = {**vars(joint), "load": joint.load and vars(joint.load)}
-    for name in ("per_inertia", "motor", "load", "by_prior", "standard_error"):
-        if not content[name]:
-            del content[name]
-    content["interval"] = {
-        name: [end if math.isfinite(end) else None for end in ends]
-        for name, ends in joint.interval.items()
-    }
-    content["effects"] = [vars(effect) for effect in joint.effects]
-    return content
 
 
 def _read_joint(fields: Fields) -> JointModel:
@@ -234,41 +241,27 @@ def _read_joint(fields: Fields) -> JointModel:
         raise fields.error("motor", "no such table where the law is pd")
     if 0 < motor.number("loop_period_s", 0.0) < SHORTEST_PERIOD_S:
         raise motor.error("loop_period_s", f"0 or at least {SHORTEST_PERIOD_S:g} s")
-    interval, correlation = fields.table("interval"), fields.table("correlation")
-    error = fields.table("standard_error")
+    interval = fields.table("interval")
     return JointModel(
-        kp_Nm_per_rad=fields.number("kp_Nm_per_rad", low=0),
-        kd_Nms_per_rad=fields.number("kd_Nms_per_rad", low=0),
-        latency_s=fields.number("latency_s", low=0),
+        **{name: fields.number(name, low=0) for name in _GAINS},
         inertia_kgm2=fields.number("inertia_kgm2", above=0),
         per_inertia=fields.flag("per_inertia"),
         law=law,
-        motor={name: motor.number(name, low=0) for name in motor.content},
+        motor=motor.all_numbers(low=0),
         load=read_load(fields.table("load")) if "load" in fields else None,
         interval={name: _read_interval(interval, name) for name in interval.content},
-        correlation={pair: correlation.number(pair) for pair in correlation.content},
-        standard_error={n: error.number(n, low=0, infinite=True) for n in error.content},
+        correlation=fields.table("correlation").all_numbers(),
+        standard_error=fields.table("standard_error").all_numbers(low=0, infinite=True),
         effects=_read_effects(fields),
         notes=fields.sentences("notes"),
         by_prior=fields.sentences("by_prior"),
     )
 
 
-def _with_added_rotor(joint: JointModel) -> JointModel:
-    """The same motion, where the rotor of a gear train adds to the inertia of the stated load."""
-    rotor = train_rotor(joint.effects)
-    if not rotor:
-        return joint
-    effects = with_inertia(joint.effects, joint.motor.get(_ROTOR, 0.0) - rotor)
-    motor = {name: value for name, value in joint.motor.items() if name != _ROTOR}
-    return replace(joint, motor=motor, effects=effects)
-
-
 def _read_body(fields: Fields) -> Mapping[str, Any]:
     """The content of the body's table, after a check of all fields that are read anywhere."""
-    for table in (fields.table(name) for name in ("twin", "water", "seems")):
-        for name in table.content:
-            table.number(name)
+    for name in ("twin", "water", "seems"):
+        fields.table(name).all_numbers()
     for name in ("normalised_density", "normalised_density_sd"):
         if name in fields:
             low = 0.0 if name.endswith("_sd") else math.ulp(0.0)
@@ -298,22 +291,16 @@ def _read_body(fields: Fields) -> Mapping[str, Any]:
 def _read_interval(fields: Fields, name: str) -> tuple[float, float]:
     ends = fields.content[name]
     if isinstance(ends, list) and len(ends) == 2:
-        low = -math.inf if ends[0] is None else number_or_infinity(ends[0])
-        high = math.inf if ends[1] is None else number_or_infinity(ends[1])
+        low = -math.inf if ends[0] is None else finite_number(ends[0], infinite=True)
+        high = math.inf if ends[1] is None else finite_number(ends[1], infinite=True)
         if low is not None and high is not None and low <= high:
             return low, high
     raise fields.error(name, "two numbers, the smaller first (null for an infinite end)")
 
 
-def _read_figures(fields: Fields) -> dict[str, float | None]:
-    number = partial(fields.number, infinite=True)
-    return {name: None if x is None else number(name) for name, x in fields.content.items()}
-
-
 def _read_effects(fields: Fields) -> tuple[FittedEffect, ...]:
     effects = []
     for entry in fields.tables("effects") if fields.content.get("effects") else []:
-        parameters = entry.table("parameters")
-        values = {name: parameters.number(name, infinite=True) for name in parameters.content}
+        values = entry.table("parameters").all_numbers(infinite=True)
         effects.append(FittedEffect(entry.text("effect"), values))
     return tuple(effects)

@@ -1,7 +1,5 @@
 """Quantization step and noise standard deviation of a measured angle."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from math import comb
 
@@ -36,7 +34,10 @@ def quantization_step(position: Array) -> float:
         return 0.0
     visits = np.add.reduceat(visits, np.flatnonzero(np.r_[True, distinct]))
     levels = levels[np.r_[True, distinct]]
-    gaps, printed = np.diff(levels), _printed_step(levels)
+    gaps = np.diff(levels)
+    # The power of ten to which the angles were printed, at least 1e-6.
+    exact = (np.allclose(levels, np.round(levels, n), rtol=0, atol=1e-9) for n in range(2, 6))
+    printed = 10.0 ** -next((n for n, fits in enumerate(exact, 2) if fits), 6)
     repeated = int(np.sum(visits > 1)) >= max(2, levels.size / 2)
     candidates = 20
     for divisor in range(1, candidates + 1):
@@ -48,14 +49,6 @@ def quantization_step(position: Array) -> float:
         if repeated or (gaps.size - 1) * np.log(chance) < np.log(1e-4 / candidates):
             return step if step <= _COARSEST_RAD else 0.0
     return 0.0
-
-
-def _printed_step(values: Array) -> float:
-    """Power of ten to which ``values`` (N,) were printed, at least 1e-6."""
-    for decimals in range(2, 6):
-        if np.allclose(values, np.round(values, decimals), rtol=0, atol=1e-9):
-            return float(10.0**-decimals)
-    return 1e-6
 
 
 def _refined(gaps: Array, step: float) -> float:
@@ -134,7 +127,11 @@ def divided_differences(t: Array, position: Array, order: int) -> Array:
 
 def _quiet_blocks(t: Array, command: Array, position: Array, step: float) -> tuple[Array, Array]:
     """Positions (N, BLOCK) of a joint at rest and their variances (N,) about a line."""
-    edges = _still_edges(command)
+    edges = [0]  # of the segments of constant command
+    for k in np.flatnonzero(np.diff(command)) + 1:
+        if abs(command[k] - command[edges[-1]]) > _STILL_RAD:
+            edges.append(int(k))
+    edges.append(command.size)
     ends = [np.arange(b, a + BLOCK - 1, -BLOCK) for a, b in pairwise(edges)]  # latest, most settled
     index = np.concatenate(ends)[:, None] + np.arange(-BLOCK, 0)
     index = index[np.isfinite(command[index]).all(axis=1)]
@@ -157,15 +154,6 @@ def _quietest(variance: Array, freedom: float) -> float:
     if variance.size < 5:
         return float(variance.min())
     return float(np.quantile(variance, 0.2)) * freedom / float(chdtri(freedom, 0.8))
-
-
-def _still_edges(command: Array) -> list[int]:
-    """Starts of the segments of constant command, and the end of the last."""
-    edges = [0]
-    for k in np.flatnonzero(np.diff(command)) + 1:
-        if abs(command[k] - command[edges[-1]]) > _STILL_RAD:
-            edges.append(int(k))
-    return [*edges, command.size]
 
 
 def _noise_before_rounding(blocks: Array) -> float:

@@ -4,8 +4,6 @@ A result that is a link is written to the file behind the link. A result that is
 (``/dev/stdout``, ``/dev/null``, a FIFO) is written through to it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import errno
@@ -31,22 +29,19 @@ _MOST_PRINTED_BYTES = 2**20
 
 
 class Results:
-    """The files of one call of the command line: what it reads, and results that were kept."""
+    """The files of one call of the command line: what it reads, and results that were kept.
 
-    def __init__(self) -> None:
+    Without a command line (not ``keeps``), no input is declared and no result kept.
+    """
+
+    def __init__(self, keeps: bool = False) -> None:
+        self.keeps = keeps
         self.inputs: dict[tuple[int, int], str] = {}  # by device and number: not to be replaced
         self.folders: set[Path] = set()  # of results, checked before the computation
         self.kept: list[str] = []  # a sentence for each result that could not be written
         self.moved: dict[Path, Path | None] = {}  # where these are; None if printed or lost
         self.written = 0  # number of results in their places
         self._folder: Path | None = None
-
-    def protect(self, path: str | os.PathLike[str]) -> None:
-        """Declare an input; anything but an existing regular file is ignored."""
-        with contextlib.suppress(OSError, ValueError):
-            found = os.stat(path)
-            if stat.S_ISREG(found.st_mode):
-                self.inputs.setdefault((found.st_dev, found.st_ino), str(path))
 
     def keep(self, target: Path, data: bytes, reason: str) -> None:
         """Keep a result in the temporary folder or, if that is full, print it."""
@@ -67,14 +62,14 @@ class Results:
             self.kept.append(f"{target}: {reason}; the result is in {kept}")
 
 
-_results: Results | None = None
+_results = Results()
 
 
 @contextlib.contextmanager
 def results() -> Iterator[Results]:
     """Context of one call, which keeps a result elsewhere that can't be written in the end."""
     global _results
-    before, _results = _results, Results()
+    before, _results = _results, Results(keeps=True)
     try:
         yield _results
     finally:
@@ -83,19 +78,21 @@ def results() -> Iterator[Results]:
 
 def place_of(path: Path) -> Path | None:
     """The file of a result that was written: ``path``, or where it was kept; None if nowhere."""
-    return path if _results is None else _results.moved.get(path, path)
+    return _results.moved.get(path, path)
 
 
 def protect(path: str | os.PathLike[str]) -> None:
-    """Declare a file as an input of this call of the command line, which no result replaces."""
-    if _results is not None:
-        _results.protect(path)
+    """Declare a regular file as an input of this command, which no result replaces."""
+    with contextlib.suppress(OSError, ValueError):
+        found = os.stat(path)
+        if _results.keeps and stat.S_ISREG(found.st_mode):
+            _results.inputs.setdefault((found.st_dev, found.st_ino), str(path))
 
 
 def check_writable(path: str | os.PathLike[str]) -> Path:
     """Raise InputError, before any computation, unless a result can be written to ``path``."""
     _place(path)
-    if _results is not None:
+    if _results.keeps:
         _results.folders.add(Path(path).parent)
     return Path(path)
 
@@ -104,8 +101,7 @@ def check_not_read(place: Path, target: Path | None = None) -> None:
     """Raise InputError if ``place`` (in the message ``target``) is an input of this command."""
     with contextlib.suppress(OSError):
         found = place.stat()
-        read = None if _results is None else _results.inputs.get((found.st_dev, found.st_ino))
-        if read is not None:
+        if read := _results.inputs.get((found.st_dev, found.st_ino)):
             expected = "another file"
             raise InputError(target or place, "", f"{read}, which the command reads", expected)
 
@@ -138,21 +134,16 @@ def write_whole(path: str | os.PathLike[str], content: str | bytes) -> Path:
     data = content.encode(errors="backslashreplace") if isinstance(content, str) else content
     try:
         place = _place(target)
-        if _streams(place):
-            _write_through(place, data)
-        else:
-            _replace(place, data)
+        (_write_through if _streams(place) else _replace)(place, data)
+        _results.written += 1
     except (OSError, InputError) as error:
         found = error.found if isinstance(error, InputError) else error.strerror or str(error)
-        if _results is not None and target.parent in _results.folders:
+        if target.parent in _results.folders:
             _results.keep(target, data, found)
         elif isinstance(error, InputError):
             raise
         else:
             raise InputError(target, "", found, "a folder to write in") from error
-    else:
-        if _results is not None:
-            _results.written += 1
     return target
 
 

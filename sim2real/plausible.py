@@ -4,8 +4,6 @@ Recordings that are rejected here can only be mistakes; what is merely unusual i
 ``check``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np
@@ -64,9 +62,7 @@ def validate_recording(recording: Recording, robot: Robot | None = None) -> None
             _check_torque(recording, sheet, t, angle)
 
 
-def validate_commands(
-    recording: Recording, robot: Robot | None = None, *, range_ratio: float = 6.0
-) -> None:
+def validate_commands(recording: Recording, robot: Robot | None = None) -> None:
     """Reject times and commands that can only be a mistake, such as degrees read as radians."""
     check_sampling(recording.file, recording.t)
     if robot is None:
@@ -79,14 +75,12 @@ def validate_commands(
         low, high = joint.limits_rad
         distance = np.abs(command - (low + high) / 2)
         row = int(np.nanargmax(distance))
-        if distance[row] > range_ratio * (high - low) / 2:
-            raise InputError(
-                recording.file,
-                f"{name}.command_rad at {recording.t[row]:.4g} s",
-                f"{command[row]:.4g} rad",
-                f"angles near the joint's limits_rad of {low:g} to {high:g} (are they degrees, or "
-                "are the limits wrong?)",
-            )
+        if distance[row] > 6 * (high - low) / 2:
+            where = f"{name}.command_rad at {recording.t[row]:.4g} s"
+            expected = f"angles near the joint's limits_rad of {low:g} to {high:g}"
+            hint = "(are they degrees, or are the limits wrong?)"
+            found = f"{command[row]:.4g} rad"
+            raise InputError(recording.file, where, found, f"{expected} {hint}")
 
 
 def _check_columns(recording: Recording, j: int) -> None:
@@ -94,9 +88,8 @@ def _check_columns(recording: Recording, j: int) -> None:
     joint, powered = recording.joints[j], recording.powered(j)
     if powered < 2:
         return
-    t, command, position = (
-        x[:powered] for x in (recording.t, recording.command[:, j], recording.position[:, j])
-    )
+    columns = recording.t, recording.command[:, j], recording.position[:, j]
+    t, command, position = (x[:powered] for x in columns)
     measured = np.isfinite(position)
     sent = command[measured]
     if sent.size > 1 and np.ptp(sent) > 0 and np.array_equal(sent, position[measured]):
@@ -108,16 +101,13 @@ def _check_columns(recording: Recording, j: int) -> None:
         )
     lead = lead_s(t, command, np.where(wrong_readings(position), np.nan, position))
     if lead is not None:
-        raise InputError(
-            recording.file,
-            f"{joint}.position_rad",
-            f"an angle that moves {lead:.2g} s before its command does",
-            f"one that follows {joint}.command_rad (are the two columns swapped, or their clocks "
-            "apart?)",
-        )
+        found = f"an angle that moves {lead:.2g} s before its command does"
+        hint = "(are the two columns swapped, or their clocks apart?)"
+        expected = f"one that follows {joint}.command_rad {hint}"
+        raise InputError(recording.file, f"{joint}.position_rad", found, expected)
 
 
-def _check_speed(file: str, joint: Joint, t: Array, angle: Array, *, ratio: float = 4.0) -> None:
+def _check_speed(file: str, joint: Joint, t: Array, angle: Array) -> None:
     """Reject angles whose speed over 0.1 s is far above the data sheet's, such as degrees."""
     window = max(0.1, 2 * float(np.median(np.diff(t))))
     early = t <= t[-1] - window
@@ -125,19 +115,14 @@ def _check_speed(file: str, joint: Joint, t: Array, angle: Array, *, ratio: floa
         return
     change = np.abs(np.interp(t[early] + window, t, angle) - angle[early])
     stated, speed = joint.servo.no_load_speed_rad_s, np.quantile(change, _QUANTILE) / window
-    if speed > ratio * stated:
-        raise InputError(
-            file,
-            f"{joint.name}.position_rad",
-            f"motion at {speed:.3g} rad/s",
-            f"at most about the {stated:g} rad/s of no_load_speed_rad_s (are the angles in "
-            "degrees, the times in another unit, or is that number wrong?)",
-        )
+    if speed > 4 * stated:
+        hint = "(are the angles in degrees, the times in another unit, or is that number wrong?)"
+        expected = f"at most about the {stated:g} rad/s of no_load_speed_rad_s {hint}"
+        where, found = f"{joint.name}.position_rad", f"motion at {speed:.3g} rad/s"
+        raise InputError(file, where, found, expected)
 
 
-def _check_torque(
-    recording: Recording, joint: Joint, t: Array, angle: Array, *, ratio: float = 6.0
-) -> None:
+def _check_torque(recording: Recording, joint: Joint, t: Array, angle: Array) -> None:
     """Reject a load whose acceleration over 0.06 s needs far more torque than the servo has."""
     load, window = recording.loads.get(joint.name), max(0.06, 2 * float(np.median(np.diff(t))))
     middle = t[(t >= t[0] + window) & (t <= t[-1] - window)]
@@ -147,11 +132,9 @@ def _check_torque(
     acceleration = np.abs(after - 2 * mid + before) / window**2
     usual = float(np.quantile(acceleration, _QUANTILE)) - 2 * float(np.median(acceleration))
     torque, stated = load.inertia_kgm2 * usual - load.gravity_Nm, joint.servo.max_torque_Nm
-    if torque > ratio * stated:
-        raise InputError(
-            recording.file,
-            f"loads.{joint.name}.inertia_kgm2",
-            f"{load.inertia_kgm2:g} kg m2, which takes {torque:.3g} N m to move as recorded",
-            f"an inertia that a servo of max_torque_Nm = {stated:g} can move so (g cm2 instead of "
-            "kg m2, perhaps?)",
-        )
+    if torque > 6 * stated:
+        found = f"{load.inertia_kgm2:g} kg m2, which takes {torque:.3g} N m to move as recorded"
+        expected = f"an inertia that a servo of max_torque_Nm = {stated:g} can move so"
+        hint = "(g cm2 instead of kg m2, perhaps?)"
+        where = f"loads.{joint.name}.inertia_kgm2"
+        raise InputError(recording.file, where, found, f"{expected} {hint}")

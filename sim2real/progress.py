@@ -1,7 +1,5 @@
 """Long computations: a progress bar, and items that several processes share."""
 
-from __future__ import annotations
-
 import multiprocessing
 import signal
 from collections.abc import Callable, Iterator, Sequence

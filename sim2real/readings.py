@@ -1,13 +1,10 @@
 """Faults of the measured angles of one joint: wrong readings, wraps, repeats, departures, a lead.
 
-Angles are in rad, shape (T,), NaN where missing. The limits, which are keyword arguments, separate
-faults that were put into recordings of several plants from the recordings without them
-(``benchmarks/recording_findings.py``).
+Angles are in rad, shape (T,), NaN where missing. The limits separate recordings of several plants
+from the same with faults put into them (``benchmarks/recording_findings.py``).
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,11 +19,11 @@ one. It is at most 2.0 for the joints of shipped, real and generated recordings,
 99 % of them with command and position swapped (``benchmarks/recording_findings.py``)."""
 
 
-def wrong_readings(position: Array, *, ratio: float = 5.0) -> Mask:
+def wrong_readings(position: Array) -> Mask:
     """Mask (T,) of isolated readings that are far from those before and after them.
 
-    A reading is compared with the median of seven, by ``SMALLEST_ERROR_RAD`` and ``ratio`` times
-    the spread of the three middle ones.
+    A reading is compared with the median of seven, by ``SMALLEST_ERROR_RAD`` and five times the
+    spread of the three middle ones.
     """
     result = np.zeros(position.shape, dtype=bool)
     measured = np.flatnonzero(np.isfinite(position))
@@ -35,25 +32,29 @@ def wrong_readings(position: Array, *, ratio: float = 5.0) -> Mask:
     angle = position[measured]
     window = np.lib.stride_tricks.sliding_window_view(np.pad(angle, 3, mode="edge"), 7)
     low, middle, high = np.partition(window, (2, 3, 4), axis=1)[:, 2:5].T
-    limit = np.maximum(SMALLEST_ERROR_RAD, ratio * (high - low))
+    limit = np.maximum(SMALLEST_ERROR_RAD, 5 * (high - low))
     result[measured] = np.abs(angle - middle) > limit
     return result
 
 
-def wraps(position: Array, *, least_rad: float = 3.0, ratio: float = 4.0) -> tuple[Index, Array]:
-    """Samples after jumps by the range of an angle's sensor, and the jumps in rad, (N,) each."""
+def wraps(position: Array) -> tuple[Index, Array]:
+    """Samples after jumps by the range of an angle's sensor, and the jumps in rad, (N,) each.
+
+    They are by more than 3 rad, and by more than four times those before and after them.
+    """
     measured = np.flatnonzero(np.isfinite(position) & ~wrong_readings(position))
     jump = np.diff(position[measured])
     size = np.abs(jump)
     around = np.maximum(np.r_[0.0, size[:-1]], np.r_[size[1:], 0.0]) if size.size else size
-    found = (size > least_rad) & (size > ratio * around)
+    found = (size > 3.0) & (size > 4 * around)
     return measured[1:][found], jump[found]
 
 
-def interleaved_constant(
-    position: Array, *, share: float = 0.01, fewest: int = 5
-) -> tuple[float, int] | None:
-    """A constant in the place of single readings, far from neighbours, and how often; or None."""
+def interleaved_constant(position: Array) -> tuple[float, int] | None:
+    """A constant in the place of single readings, far from neighbours, and how often; or None.
+
+    It is there at least five times, and in one sample of a hundred.
+    """
     angle = position[np.isfinite(position)]
     step = np.diff(angle)
     there, back = step[:-1], step[1:]
@@ -65,29 +66,27 @@ def interleaved_constant(
     count = int(counts[most])
     # Turning points of a fast motion are isolated as well, but on either side of it.
     next_count = int(np.partition(counts, -2)[-2]) if counts.size > 1 else 0
-    if count < max(fewest, share * angle.size, 2 * next_count):
+    if count < max(5, 0.01 * angle.size, 2 * next_count):
         return None
     return float(values[most]), count
 
 
-def stale_share(
-    position: Array, step_rad: float, noise_rad: float, *, least: float = 0.03, fewest: int = 5
-) -> float:
+def stale_share(position: Array, step_rad: float, noise_rad: float) -> float:
     """Share of readings that repeat the previous one although the joint turns steadily.
 
     It turns where the angle changes by more than five steps of the sensor and five standard
-    deviations before and after, to the same side. 0 if no more repeat than by chance.
+    deviations before and after, to the same side. 0 if no more repeat than by chance: fewer than
+    five, or than 3 %.
     """
     change = np.diff(position[np.isfinite(position)])
     turn = 5 * max(step_rad, noise_rad)
     before, pair, after = change[:-2], change[1:-1], change[2:]
     steady = (np.minimum(np.abs(before), np.abs(after)) > turn) & (before * after > 0)
     repeated, turning = int(np.sum(steady & (pair == 0))), int(np.sum(steady))
-    return repeated / turning if repeated >= max(fewest, least * turning) else 0.0
+    return repeated / turning if repeated >= max(5, 0.03 * turning) else 0.0
 
 
-@dataclass(frozen=True)
-class Departure:
+class Departure(NamedTuple):
     """Where an angle does not follow its command."""
 
     windows_s: tuple[tuple[float, float], ...]  # start and end of each, in order of time
@@ -95,38 +94,30 @@ class Departure:
     held_rad: float | None  # angle at which it stays meanwhile; None if it moves
 
 
-def departure(
-    t: Array,
-    command: Array,
-    position: Array,
-    gravity: bool,
-    *,
-    least_rad: float = 0.1,
-    share: float = 0.25,
-    longest_lag_s: float = 0.3,
-    sustained_s: float = 0.5,
-    smoothing_s: float = 1.0,
-    step_s: float = 0.02,
-) -> Departure | None:
-    """Where an angle does not follow its command (T,) in rad, if it does not.
+def departure(t: Array, command: Array, position: Array, gravity: bool) -> Departure | None:
+    """Where an angle does not follow its command (T,) in rad, if it does not for half a second.
 
-    Both are smoothed, the angle is advanced by its latency, and with ``gravity`` the deflection by
-    a pendulum's weight, which is proportional to the sine of the angle, is left out. What remains
-    of a servo that follows is a small share of the command's range.
+    Both are smoothed over a second, the angle is advanced by its latency, at most 0.3 s, and with
+    ``gravity`` the deflection by a pendulum's weight, which is proportional to the sine of the
+    angle, is left out. What remains of a servo that follows is a small share of the command's
+    range: less than a quarter, or 0.1 rad.
     """
     good = np.isfinite(position) & ~wrong_readings(position)
+    step_s, sustained, half, longest_lag = 0.02, 25, 25, 15
     grid = np.arange(t[0], t[-1], step_s)
-    sustained, half = round(sustained_s / step_s), round(smoothing_s / step_s) // 2
     if good.sum() < 2 or grid.size < 4 * sustained:
         return None
     sent = _smoothed(np.interp(grid, t, command), half)
     angle = _smoothed(np.interp(grid, t[good], position[good]), half)
-    lags = range(round(longest_lag_s / step_s) + 1)
-    advanced = [np.append(angle[lag:], np.full(lag, angle[-1])) for lag in lags]
-    apart = [_without_deflection(a - sent, a) if gravity else a - sent for a in advanced]
-    best = min(range(len(apart)), key=lambda lag: float(apart[lag] @ apart[lag]))
-    error = np.abs(apart[best])
-    limit = max(least_rad, share * float(np.ptp(sent)))
+    errors = []
+    for lag in range(longest_lag + 1):
+        advanced = np.append(angle[lag:], np.full(lag, angle[-1]))
+        error, sine = advanced - sent, np.sin(advanced)
+        if gravity and (square := float(sine @ sine)) > 0:
+            error = error - min(0.0, float(error @ sine) / square) * sine  # only if it is a droop
+        errors.append(error)
+    error = np.abs(min(errors, key=lambda some: float(some @ some)))
+    limit = max(0.1, 0.25 * float(np.ptp(sent)))
     windows = [(a, b) for a, b in runs(error > limit) if b - a >= sustained]
     if not windows:
         return None
@@ -149,38 +140,20 @@ def _smoothed(signal: Array, size: int) -> Array:
     return signal
 
 
-def _without_deflection(error: Array, angle: Array) -> Array:
-    """The error (N,) without its part in proportion to the sine of the angle, if it is a droop."""
-    sine = np.sin(angle)
-    square = float(sine @ sine)
-    share = min(0.0, float(error @ sine) / square) if square > 0 else 0.0
-    return error - share * sine
-
-
-def lead_s(
-    t: Array,
-    command: Array,
-    position: Array,
-    *,
-    longest_lead_s: float = 0.5,
-    longest_lag_s: float = 1.0,
-    finest_shift_s: float = 0.01,
-    samples: tuple[int, int] = (50, 4000),
-    most: float = 0.5,
-    least: float = 0.01,
-) -> float | None:
+def lead_s(t: Array, command: Array, position: Array) -> float | None:
     """Time in s by which the position leads its command (T,); None unless it clearly does.
 
     A servo is causal: no delay, filter or friction makes a position match its command best at an
-    earlier time. The best earlier shift leaves at most a share ``most`` of the variance
-    unexplained (one minus the squared correlation), the best later one more than ``least``. The
-    longest lag is longer than the longest lead, so that a periodic response, for which they are not
-    distinguishable, counts as a lag. ``samples``: fewest and most that are compared.
+    earlier time. The best earlier shift leaves less than half of the variance unexplained (one
+    minus the squared correlation), the best later one more than a hundredth. The longest lag is
+    longer than the longest lead, so that a periodic response, for which they are not
+    distinguishable, counts as a lag. 50 to 4000 samples are compared.
     """
+    longest_lead_s, longest_lag_s, finest_shift_s = 0.5, 1.0, 0.01
     measured = np.isfinite(position)
     inside = np.flatnonzero((t >= t[0] + longest_lead_s) & (t <= t[-1] - longest_lag_s))
-    inside = inside[:: -(-inside.size // samples[1]) or 1]
-    if min(inside.size, measured.sum()) < samples[0]:
+    inside = inside[:: -(-inside.size // 4000) or 1]
+    if min(inside.size, measured.sum()) < 50:
         return None
     step = max(finest_shift_s, float(np.median(np.diff(t))))
     shifts = step * np.arange(-int(longest_lead_s / step), int(longest_lag_s / step) + 1)
@@ -194,5 +167,5 @@ def lead_s(
     unexplained = 1 - np.minimum(correlation, 1.0) ** 2
     leads = shifts < -0.5 * step
     lead, lag = (int(np.argmin(np.where(side, unexplained, np.inf))) for side in (leads, ~leads))
-    significant = unexplained[lag] > max(UNEXPLAINED_RATIO * unexplained[lead], least)
-    return -float(shifts[lead]) if significant and unexplained[lead] < most else None
+    significant = unexplained[lag] > max(UNEXPLAINED_RATIO * unexplained[lead], 0.01)
+    return -float(shifts[lead]) if significant and unexplained[lead] < 0.5 else None

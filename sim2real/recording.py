@@ -188,26 +188,39 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     kind = top.text("kind")
     if kind not in ("servo", "pool"):
         raise top.error("kind", "'servo' or 'pool'")
-    joints = _joint_names(top)
+    names = top.content.get("joints")
+    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
+        raise top.error("joints", "a list of joint names")
+    if len(set(names)) != len(names):
+        raise top.error("joints", "each name once")
+    joints = tuple(check_label(sidecar, "joints", name) for name in names)
     t = csv_columns.times(csv, table)
     check_sampling(csv, t)
-    recorded = kind == "servo" or any(f"{j}.command_rad" in table for j in joints)
-    none = np.full((t.size, len(joints)), np.nan)
+    command = np.full((t.size, len(joints)), np.nan)
+    if kind == "servo" or any(f"{j}.command_rad" in table for j in joints):
+        command = csv_columns.commands(csv, table, joints)
+    position = csv_columns.angles(csv, table, joints, "position_rad")
     used = {"t_s"} | {f"{j}.{c}" for j in joints for c in ("command_rad", "position_rad")}
     others = [str(name) for name in table.columns if name not in used]
-    return Recording(
-        csv.stem,
-        kind,
-        joints,
-        t,
-        csv_columns.commands(csv, table, joints) if recorded else none,
-        csv_columns.angles(csv, table, joints, "position_rad"),
-        loads=_loads(top, joints),
+    columns = {name: csv_columns.column(csv, table, name) for name in others}
+    recording = Recording(csv.stem, kind, joints, t, command, position, columns=columns, path=csv)
+    return _stated(top, recording)
+
+
+def _stated(top: Fields, recording: Recording) -> Recording:
+    """The recording with what its JSON file states."""
+    loads, table = {}, top.table("loads")
+    for name in table.content:
+        if name not in recording.joints:
+            expected = ", ".join(recording.joints)
+            raise InputError(top.file, f"loads.{name}", "a joint not recorded", expected)
+        loads[name] = read_load(table.table(name))
+    return replace(
+        recording,
+        loads=loads,
         medium=top.text("medium", "air"),
         source=top.text("source", ""),
-        columns={name: csv_columns.column(csv, table, name) for name in others},
         metadata={k: x for k, x in top.content.items() if k not in FIELDS},
-        path=csv,
     )
 
 
@@ -231,17 +244,8 @@ def read_commands(path: str | os.PathLike[str]) -> Recording:
     command = csv_columns.commands(csv, table, joints)
     sidecar = csv.with_suffix(".json")
     top = Fields(sidecar, "", read_json(sidecar, SCHEMA) if sidecar.exists() else {})
-    return Recording(
-        csv.stem,
-        "servo",
-        joints,
-        t,
-        command,
-        np.full_like(command, np.nan),
-        loads=_loads(top, joints),
-        metadata={k: x for k, x in top.content.items() if k not in FIELDS},
-        path=csv,
-    )
+    missing = np.full_like(command, np.nan)
+    return _stated(top, Recording(csv.stem, "servo", joints, t, command, missing, path=csv))
 
 
 def write_recording(
@@ -269,25 +273,6 @@ def write_recording(
     }
     write_whole(csv, pd.DataFrame(table).round(9).to_csv(index=False))
     write_json(beside(csv, f"{csv.stem}.json"), sidecar)
-
-
-def _joint_names(top: Fields) -> tuple[str, ...]:
-    names = top.content.get("joints")
-    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
-        raise top.error("joints", "a list of joint names")
-    if len(set(names)) != len(names):
-        raise top.error("joints", "each name once")
-    return tuple(check_label(top.file, "joints", name) for name in names)
-
-
-def _loads(top: Fields, joints: tuple[str, ...]) -> dict[str, Load]:
-    loads = {}
-    table = top.table("loads")
-    for name in table.content:
-        if name not in joints:
-            raise InputError(top.file, f"loads.{name}", "a joint not recorded", ", ".join(joints))
-        loads[name] = read_load(table.table(name))
-    return loads
 
 
 def read_load(fields: Fields) -> Load:

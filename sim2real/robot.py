@@ -3,15 +3,13 @@
 A file needs only the values that are used: a missing value is an error where it is used.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import Field, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, overload
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -19,15 +17,12 @@ from sim2real.appendages import Appendage, read_appendage
 from sim2real.arm.description import Arm, read_arm
 from sim2real.arrays import Array
 from sim2real.csv_columns import LARGEST_ANGLE_RAD
-from sim2real.display import NotebookDisplay, from_report
+from sim2real.display import Drawing, NotebookDisplay, from_report
 from sim2real.errors import InputError
 from sim2real.inference.normal import Z90
 from sim2real.model import Model
 from sim2real.recording import Recording
 from sim2real.structured import Fields, read_toml
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Place = tuple[str, str]
 """A file and a table in it, for messages."""
@@ -35,44 +30,45 @@ Place = tuple[str, str]
 LIMITS = "two angles in rad, the smaller first"
 
 
-T = TypeVar("T")
+def _needed(expected: str = "a number above 0", **limits: float) -> Any:  # noqa: ANN401 - a field
+    """A value that may be missing, which is an error where it is used."""
+    return field(default=None, metadata={"expected": expected, "limits": limits})
 
 
-class Stated(Generic[T]):
-    """A value that may be missing and then raises an InputError, of a class with ``where``."""
-
-    def __init__(self, expected: str = "a number above 0") -> None:
-        self.expected = expected
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
-
-    @overload
-    def __get__(self, instance: None, owner: type) -> Self: ...
-    @overload
-    def __get__(self, instance: object, owner: type) -> T: ...
-    def __get__(self, instance: object | None, owner: type) -> Self | T:
-        if instance is None:
-            return self
-        value: T | None = vars(instance)[self.name]
-        if value is None:
-            file, table = vars(instance)["where"]
-            raise InputError(file, f"{table}.{self.name}", "nothing", self.expected)
-        return value
-
-    def __set__(self, instance: object, value: Any) -> None:  # noqa: ANN401 - the default is self
-        vars(instance)[self.name] = None if value is self else value
+def _optional(**limits: float) -> Any:  # noqa: ANN401 - a field
+    return field(default=None, metadata={"limits": limits})
 
 
 class Sheet:
-    """A named dataclass with ``Stated`` values, compared regardless of where it was read."""
+    """A named dataclass of values that may be missing, compared regardless of where it was read."""
 
     name: str
+    where: Place
+    declared: ClassVar[Mapping[str, Mapping[str, Any]]]
+
+    def __init_subclass__(cls) -> None:
+        """Keep what is declared of each value: its limits, and what is expected if it is needed."""
+        cls.declared = {n: f.metadata for n, f in vars(cls).items() if isinstance(f, Field)}
 
     @classmethod
     def keys(cls) -> list[str]:
         """Keys of its table in the file."""
         return [name for name in cls.__annotations__ if name != "where"]
+
+    @classmethod
+    def read(cls, table: Fields, **others: Any) -> Self:  # noqa: ANN401 - fields of the class
+        """Read the numbers of a table, given what else it holds."""
+        limits = {name: kind["limits"] for name, kind in cls.declared.items() if kind["limits"]}
+        numbers = {name: table.optional_number(name, **ends) for name, ends in limits.items()}
+        others["where"] = str(table.file), table.where
+        return cls(**numbers, **others)
+
+    def __getattribute__(self, name: str) -> Any:  # noqa: ANN401 - of any type
+        """The value, or an InputError where it is needed and was not stated."""
+        value = super().__getattribute__(name)
+        if value is None and (expected := self.declared.get(name, {}).get("expected")):
+            raise InputError(self.where[0], f"{self.where[1]}.{name}", "nothing", expected)
+        return value
 
     def states(self, *names: str) -> bool:
         """Whether all of these values are stated."""
@@ -97,15 +93,15 @@ class Link(Sheet):
     """One rigid link in SI units, appendages included; ``com_m`` is measured from its front end."""
 
     name: str
-    mass_kg: Stated[float] = Stated()
-    length_m: Stated[float] = Stated()
-    width_m: Stated[float] = Stated()
-    height_m: Stated[float] = Stated()
+    mass_kg: float = _needed(above=0)
+    length_m: float = _needed(above=0)
+    width_m: float = _needed(above=0)
+    height_m: float = _needed(above=0)
     material: str | None = None
-    com_m: float | None = None
-    inertia_kgm2: float | None = None
-    mass_sd_kg: float | None = None
-    length_sd_m: float | None = None
+    com_m: float | None = _optional(low=0)
+    inertia_kgm2: float | None = _optional(low=0)
+    mass_sd_kg: float | None = _optional(low=0)
+    length_sd_m: float | None = _optional(low=0)
     appendages: tuple[Appendage, ...] = ()
     where: Place = ("robot", "link")
 
@@ -115,9 +111,9 @@ class Servo(Sheet):
     """Data sheet of a servo."""
 
     name: str
-    max_torque_Nm: Stated[float] = Stated()
-    no_load_speed_rad_s: Stated[float] = Stated()
-    position_step_rad: Stated[float] = Stated("a number of at least 0")
+    max_torque_Nm: float = _needed(above=0)
+    no_load_speed_rad_s: float = _needed(above=0)
+    position_step_rad: float = _needed("a number of at least 0", low=0)
     where: Place = ("robot", "servos")
 
 
@@ -127,7 +123,7 @@ class Joint(Sheet):
 
     name: str
     servo: Servo
-    limits_rad: Stated[tuple[float, float]] = Stated(LIMITS)
+    limits_rad: tuple[float, float] = _needed(LIMITS)
     where: Place = ("robot", "joint")
 
 
@@ -202,51 +198,40 @@ def read_robot(path: str | os.PathLike[str]) -> Robot:
     return Robot(top.label("name", "robot"), links, joints, Path(path), arm)
 
 
-def _servo(name: str, fields: Fields) -> Servo:
-    if "type" in fields:  # of earlier versions
-        warnings.warn(f"{fields.file}: {fields.path('type')} is ignored", stacklevel=2)
-    fields.refuse_unknown([*Servo.keys()[1:], *(["type"] if "type" in fields else [])])
-    number, where = fields.optional_number, (str(fields.file), fields.where)
-    torque, speed = (number(key, above=0) for key in ("max_torque_Nm", "no_load_speed_rad_s"))
-    return Servo(name, torque, speed, number("position_step_rad", low=0), where)
+def _servo(name: str, table: Fields) -> Servo:
+    if "type" in table:  # of earlier versions
+        warnings.warn(f"{table.file}: {table.path('type')} is ignored", stacklevel=2)
+    table.refuse_unknown([*Servo.keys()[1:], *(["type"] if "type" in table else [])])
+    return Servo.read(table, name=name)
 
 
-def _link(fields: Fields) -> Link:
-    fields.refuse_unknown(Link.keys())
-    tables = fields.tables("appendages") if "appendages" in fields else []
-    number = fields.optional_number
-    length, com = number("length_m", above=0), number("com_m", low=0)
-    ends = [length or math.inf]
-    appendages = tuple(read_appendage(table, length) for table in tables)
-    ends += [one.at_m[0] + one.size_m[0] / 2 for one in appendages]
-    if com is not None and com > max(ends):
-        raise fields.error("com_m", f"a place on the link, at most {max(ends):g} m from its front")
-    measures = ("mass_kg", "length_m", "width_m", "height_m")
-    optional = ("com_m", "inertia_kgm2", "mass_sd_kg", "length_sd_m")
-    return Link(
-        name=fields.label("name"),
-        material=fields.text("material") if "material" in fields else None,
-        appendages=appendages,
-        where=(str(fields.file), fields.where),
-        **{name: number(name, above=0) for name in measures},
-        **{name: number(name, low=0) for name in optional},
-    )
+def _link(table: Fields) -> Link:
+    table.refuse_unknown(Link.keys())
+    bodies = table.tables("appendages") if "appendages" in table else []
+    length = table.optional_number("length_m", above=0)
+    appendages = tuple(read_appendage(body, length) for body in bodies)
+    material = table.text("material") if "material" in table else None
+    link = Link.read(table, name=table.label("name"), material=material, appendages=appendages)
+    end = max([length or math.inf, *(one.at_m[0] + one.size_m[0] / 2 for one in appendages)])
+    if link.com_m is not None and link.com_m > end:
+        raise table.error("com_m", f"a place on the link, at most {end:g} m from its front")
+    return link
 
 
-def _joint(fields: Fields, servos: dict[str, Servo]) -> Joint:
-    fields.refuse_unknown(Joint.keys())
-    servo = fields.text("servo")
+def _joint(table: Fields, servos: dict[str, Servo]) -> Joint:
+    table.refuse_unknown(Joint.keys())
+    servo = table.text("servo")
     if servo not in servos:
-        raise fields.error("servo", f"one of the [servos.*] tables ({', '.join(servos) or 'none'})")
+        raise table.error("servo", f"one of the [servos.*] tables ({', '.join(servos) or 'none'})")
     limits = None
-    if "limits_rad" in fields:
-        low, high = limits = tuple(fields.numbers("limits_rad", LIMITS, 2))
+    if "limits_rad" in table:
+        low, high = limits = tuple(table.numbers("limits_rad", LIMITS, 2))
         if low >= high:
-            raise fields.error("limits_rad", LIMITS)
+            raise table.error("limits_rad", LIMITS)
         if max(abs(low), abs(high)) > LARGEST_ANGLE_RAD:
             expected = f"two angles in rad within {LARGEST_ANGLE_RAD:.1f} (are they degrees?)"
-            raise fields.error("limits_rad", expected)
-    return Joint(fields.label("name"), servos[servo], limits, (str(fields.file), fields.where))
+            raise table.error("limits_rad", expected)
+    return Joint.read(table, name=table.label("name"), servo=servos[servo], limits_rad=limits)
 
 
 @dataclass(frozen=True)
@@ -271,9 +256,9 @@ class Density(NotebookDisplay):
         """Lower and upper ends of 90 % intervals, shape (2, L); None where ``sd`` is."""
         return None if self.sd is None else self.value + Z90 * np.outer([-1, 1], self.sd)
 
-    def plot(self) -> Figure:
+    def plot(self) -> Drawing:
         """Bar chart of the normalised density of each link."""
-        figure: Figure = from_report("ranges.density_figure")(self)
+        figure: Drawing = from_report("ranges.density_figure")(self)
         return figure
 
 

@@ -1,7 +1,5 @@
 """Excitation signals for identification, within the limits of joints and servos."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -94,7 +92,15 @@ def excitation(
     the centre, by default three quarters of the range. Random signals are independent.
     """
     shape = shape or Shape()
-    _check_shape(name, shape, seconds, rate_hz)
+    (low, high), nyquist = shape.band_hz, rate_hz / 2
+    if not 2 * REST_S <= seconds <= 86_400:
+        raise InputError("--seconds", "", f"{seconds:g} s", f"{2 * REST_S:g} s to a day")
+    if name in ("sine", "square") and not 0 < shape.frequency_hz < nyquist:
+        expected = f"more than 0 and less than {nyquist:g} Hz"
+        raise InputError("--frequency", "", f"{shape.frequency_hz:g} Hz", expected)
+    if name in ("chirp", "multisine") and not 0 < low < high < nyquist:
+        expected = f"two frequencies between 0 and {nyquist:g} Hz, the lower first"
+        raise InputError("--band", "", f"{low:g} and {high:g} Hz", expected)
     t = np.arange(round(seconds * rate_hz)) / rate_hz
     commands, notes = [], []
     for joint in joints:
@@ -147,17 +153,3 @@ def limited(command: Array, joint: Joint, rate_hz: float) -> Array:
     for k in range(1, slewed.size):
         slewed[k] = slewed[k - 1] + np.clip(inside[k] - slewed[k - 1], -largest, largest)
     return slewed
-
-
-def _check_shape(name: str, shape: Shape, seconds: float, rate_hz: float) -> None:
-    if not 2 * REST_S <= seconds <= 86_400:
-        expected = f"{2 * REST_S:g} s to a day"
-        raise InputError("--seconds", "", f"{seconds:g} s", expected)
-    low, high = shape.band_hz
-    nyquist = rate_hz / 2
-    if name in ("sine", "square") and not 0 < shape.frequency_hz < nyquist:
-        expected = f"more than 0 and less than {nyquist:g} Hz"
-        raise InputError("--frequency", "", f"{shape.frequency_hz:g} Hz", expected)
-    if name in ("chirp", "multisine") and not 0 < low < high < nyquist:
-        expected = f"two frequencies between 0 and {nyquist:g} Hz, the lower first"
-        raise InputError("--band", "", f"{low:g} and {high:g} Hz", expected)

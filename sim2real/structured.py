@@ -166,18 +166,13 @@ def read_arrays(
     return arrays
 
 
-def finite_number(value: object) -> float | None:
-    """``value`` as a float; None unless it is a finite number."""
+def finite_number(value: object, *, infinite: bool = False) -> float | None:
+    """``value`` as a float; None unless it is a finite number, or ``infinite`` and ``"inf"``."""
+    if infinite and value in ("inf", "-inf"):
+        return float(str(value))
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     return float(value) if abs(value) <= sys.float_info.max else None
-
-
-def number_or_infinity(value: object) -> float | None:
-    """``value`` as a float, ``"inf"`` and ``"-inf"`` included; None unless it is a number."""
-    if value in ("inf", "-inf"):
-        return float(str(value))
-    return finite_number(value)
 
 
 class Fields:
@@ -230,8 +225,7 @@ class Fields:
             return default
         least = f" of at least {low:g}" if math.isfinite(low) else ""
         expected = "a number" + (f" above {above:g}" if math.isfinite(above) else least)
-        convert = number_or_infinity if infinite else finite_number
-        value = convert(self.content.get(name))
+        value = finite_number(self.content.get(name), infinite=infinite)
         if value is None or value < low or value <= above:
             raise self.error(name, expected)
         smallest, largest, unit = plausible(name)
@@ -245,6 +239,10 @@ class Fields:
     ) -> float | None:
         """Read a finite number, ``>= low`` and ``> above``; None if it is absent."""
         return self.number(name, low=low, above=above) if name in self.content else None
+
+    def all_numbers(self, **limits: Any) -> dict[str, float]:  # noqa: ANN401 - of ``number``
+        """Read all fields of the table as numbers, by name."""
+        return {name: self.number(name, **limits) for name in self.content}
 
     def numbers(
         self, name: str, expected: str, size: int | None = None, *, low: float = -math.inf

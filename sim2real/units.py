@@ -3,8 +3,6 @@
 A name ends with its unit (``kp_Nm_per_rad``); a name without unit is that of a pure number.
 """
 
-from __future__ import annotations
-
 import math
 
 _DEGREES = 180 / math.pi

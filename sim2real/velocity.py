@@ -1,7 +1,5 @@
 """Estimators of body velocities from poses, for fits, figures and policies."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.signal import savgol_filter
 
@@ -11,19 +9,24 @@ NEWEST = 5
 """Samples in the newest velocity: 0.08 s at 50 Hz, a delay of 0.04 s."""
 
 
-def body_velocity(t: Array, pose: Array, *, window_s: float = 0.22) -> Array:
+def body_velocity(t: Array, pose: Array) -> Array:
     """Surge and sway in m/s, yaw rate in rad/s from poses in m and rad; both (..., T, 3).
 
-    The slope of a parabola through a moving window of ``window_s`` (Savitzky and Golay, Anal. Chem.
-    36 (1964) 1627), rotated by the smoothed heading. Times ``t`` (T,) in s are assumed to be evenly
-    spaced; missing poses are NaN.
+    The slope of a parabola through a moving window of 0.22 s (Savitzky and Golay, Anal. Chem. 36
+    (1964) 1627), rotated by the smoothed heading. Times ``t`` (T,) in s are assumed to be evenly
+    spaced; missing poses are NaN, and interpolated.
     """
     period = float(np.median(np.diff(t)))
-    odd = 2 * max(1, round(window_s / period / 2)) + 1
+    odd = 2 * max(1, round(0.22 / period / 2)) + 1
     size = min(max(odd, 5), t.size - 1 + t.size % 2)
     filled = np.array(pose, dtype=np.float64)
     for place in np.ndindex(filled.shape[:-2]):
-        _bridge(t, filled[place])
+        for k, column in enumerate(filled[place].T):
+            present = np.isfinite(column)
+            if present.sum() < 5:
+                raise ValueError(f"{present.sum()} poses, five are needed")
+            values = np.unwrap(column[present]) if k == 2 else column[present]
+            column[:] = values if present.all() else np.interp(t, t[present], values)
     slope = savgol_filter(filled, size, 2, deriv=1, delta=period, axis=-2)
     heading = savgol_filter(filled[..., 2], size, 2, axis=-1)
     return np.concatenate([turned(slope[..., :2], -heading), slope[..., 2:]], axis=-1)
@@ -33,16 +36,6 @@ def turned(vectors: Array, angle: Array) -> Array:
     """Vectors (..., 2) of the plane, turned anticlockwise by angles (...,) in rad."""
     c, s, (x, y) = np.cos(angle), np.sin(angle), np.moveaxis(vectors, -1, 0)
     return np.stack([c * x - s * y, s * x + c * y], axis=-1)
-
-
-def _bridge(t: Array, pose: Array) -> None:
-    """Interpolate missing poses (T, 3) linearly in place; headings are unwrapped."""
-    for k in range(3):
-        present = np.isfinite(pose[:, k])
-        if present.sum() < 5:
-            raise ValueError(f"{present.sum()} poses, five are needed")
-        values = np.unwrap(pose[present, k]) if k == 2 else pose[present, k]
-        pose[:, k] = values if present.all() else np.interp(t, t[present], values)
 
 
 def slope_weights(samples: int = NEWEST, period_s: float = 0.02) -> Array:

@@ -1,7 +1,5 @@
 """The version of this package: that of the source checkout it runs from, or as installed."""
 
-from __future__ import annotations
-
 import tomllib
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path

@@ -16,9 +16,8 @@ from bars import by_plant, done, set_name
 from measures import NULLS, SURE, Row, detectable
 
 from sim2real.output import provenance
-from sim2real.report.drawing import svg
+from sim2real.report.drawing import ACCENT, FAINT, INK, MUTED, new_figure, svg
 from sim2real.report.page import Block, Figure, Section, Table, Text, write_page
-from sim2real.report.style import ACCENT, FAINT, INK, MUTED, house_style, new_figure
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -115,8 +114,7 @@ def _confusion_figure(said: Row) -> str:
     rows = sorted(said, key=lambda name: (name in ("nothing", "outside"), name))
     others = {name for counts in said.values() for name in counts} - {"nothing", "unlisted"}
     columns = [*sorted(others | set(rows) - {"nothing", "outside"}), "unlisted", "nothing"]
-    with house_style():
-        figure = new_figure(110 + 13 * len(rows), "first name by concealed effect")
+    with new_figure(110 + 13 * len(rows), "first name by concealed effect") as figure:
         axes = figure.subplots()
         for y, true in enumerate(rows):
             total = sum(said[true].values())
@@ -132,8 +130,7 @@ def _confusion_figure(said: Row) -> str:
 
 
 def _probability_figure(bins: list[Row], single: list[Row], outside: list[Row]) -> str:
-    with house_style():
-        figure = new_figure(300, "reliability, and accuracy against abstention")
+    with new_figure(300, "reliability, and accuracy against abstention") as figure:
         left, right = figure.subplots(1, 2)
         left.plot([0, 1], [0, 1], color=FAINT, linewidth=0.8)
         full = [one for one in bins if one["of"]]

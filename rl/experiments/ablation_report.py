@@ -17,10 +17,9 @@ from rl.sac.checkpoint import curves_figure
 from rl.sac.plan import Plan
 from sim2real.model import Model
 from sim2real.output import write_json, write_whole
-from sim2real.report.drawing import save_png, svg
+from sim2real.report.drawing import ACCENT, FAINT, INK, save_png, svg
 from sim2real.report.page import Block, Note, Section, Table, Text, write_page
 from sim2real.report.page import Figure as Picture
-from sim2real.report.style import ACCENT, FAINT, INK
 from sim2real.robot import Robot
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from rl.task import DOMAIN_M, START_ZONE, TARGET_ZONE, TASKS
 from sim.inference.swims import Swim
 from sim.view.video import FRAMES_PER_S
 from sim2real.arrays import Array, Picture
-from sim2real.report.style import ACCENT, FAINT, INK, MUTED, RULE, house_style, new_figure
+from sim2real.report.drawing import ACCENT, FAINT, INK, MUTED, RULE, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -88,8 +88,7 @@ def bar_panels(
 
     A panel has groups: name, colours, and mean and ends of an interval, shape (3, N).
     """
-    with house_style():
-        figure = new_figure(60 + 40 * len(names), label)
+    with new_figure(60 + 40 * len(names), label) as figure:
         interval = {"ecolor": INK, "lw": 1, "capsize": 2}
         drawn = figure.subplots(1, len(panels), sharey=True)
         for axes, (title, groups) in zip(drawn, panels.items(), strict=True):
@@ -135,8 +134,7 @@ def _panels(
 ) -> Figure:  # fmt: skip
     """A panel for each name, with what ``mark`` adds to its axes."""
     rows, columns = -(-len(ways) // 2), min(2, len(ways))
-    with house_style():
-        figure = new_figure(rows * height + 20, label)
+    with new_figure(rows * height + 20, label) as figure:
         panels = figure.subplots(rows, columns, squeeze=False, sharex=shared, sharey=shared).ravel()
         for axes in panels[len(ways) :]:
             axes.set_visible(False)
@@ -175,8 +173,7 @@ def compared_signals(swim: Swim, signals: Array, heading: Array) -> dict[str, tu
 
 def compared_figure(swims: Sequence[tuple[Swim, Mapping[str, tuple[Array, Array]]]]) -> Figure:
     """A column for each swim and its ``compared_signals``, coloured as in the paper's Fig. 3."""
-    with house_style():
-        figure = new_figure(580, "Measured and simulated swims")
+    with new_figure(580, "Measured and simulated swims") as figure:
         panels = figure.subplots(4, len(swims), squeeze=False, sharex="col", sharey="row")
         for column, (swim, rows) in zip(panels.T, swims, strict=True):
             for axes, (label, pair) in zip(column, rows.items(), strict=True):
@@ -198,10 +195,9 @@ def stills_figure(
     points = np.concatenate([*ways, target[None]])
     low, high = np.nanmin(points, axis=0) - 0.3, np.nanmax(points, axis=0) + 0.3
     last = max(len(reel) for reel in reels.values()) - 1
-    with house_style():
-        width, height = high - low
-        tall = 680 / count * height / width
-        figure = new_figure(60 + (tall + 30) * len(reels), "Stills of the turn")
+    width, height = high - low
+    tall = 680 / count * height / width
+    with new_figure(60 + (tall + 30) * len(reels), "Stills of the turn") as figure:
         panels = figure.subplots(len(reels), count, squeeze=False)
         ends = np.array([-1, 1, -1, 1]) * (DOMAIN_M[0] / 2 + MARGIN_M)
         for row, (name, reel) in zip(panels, reels.items(), strict=True):

@@ -201,7 +201,7 @@ class Forecast(NotebookDisplay):
     def plot(self) -> Figure:
         """Paths of twenty realities over the pool, a panel for each policy."""
         from rl.experiments.figures import aligned, paths_figure
-        from sim2real.report.style import ACCENT, MUTED
+        from sim2real.report.drawing import ACCENT, MUTED
 
         ways = {}
         for k, one in enumerate(self.policies):

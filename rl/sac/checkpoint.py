@@ -18,7 +18,7 @@ from rl.sac.plan import Plan
 from sim2real.arrays import Array
 from sim2real.errors import InputError, library
 from sim2real.output import write_whole
-from sim2real.report.style import ACCENT, FAINT, INK, house_style, new_figure
+from sim2real.report.drawing import ACCENT, FAINT, INK, new_figure
 from sim2real.structured import read_arrays, reason
 
 if TYPE_CHECKING:
@@ -185,8 +185,7 @@ def curves_figure(agents: Mapping[str, Sequence[Path]]) -> Figure:
 
     Of a single group, the standard deviation over its agents is shaded, as in the paper's Fig. 4.
     """
-    with house_style():
-        figure = new_figure(420, "Return and success of episodes against training steps")
+    with new_figure(420, "Return and success of episodes against training steps") as figure:
         upper, lower = figure.subplots(2, 1, sharex=True)
         for k, (group, folders) in enumerate(agents.items()):
             colour = ACCENT if k == 0 else (INK, FAINT)[(k - 1) % 2]

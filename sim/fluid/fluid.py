@@ -1,7 +1,5 @@
 """The fluid: boxes of water side by side, all stepped at once."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -102,8 +100,11 @@ class Fluid:
         if normals is not None:
             direction[:] = flatten(normals.reshape(self.size))
         slips = np.flatnonzero(kind == SLIP).astype(np.int32)
-        before = self._before(slips, direction[slips])
-        self._slips = [self._put(rows, wp.int32) for rows in (slips, direction[slips], before)]
+        normal, shape = direction[slips], self.size[::-1]
+        at = np.array(np.unravel_index(slips, shape))
+        at[2 - normal // 2, np.arange(slips.size)] += np.where(normal % 2 == 0, -1, 1)
+        before = np.ravel_multi_index(tuple(at), shape, mode="wrap")  # boxes wrap
+        self._slips = [self._put(rows, wp.int32) for rows in (slips, normal, before)]
         active = np.flatnonzero(kind == MOVING).astype(np.int32)
         self.fluid_cells = int(np.count_nonzero(kind == FLUID))
         moving = np.zeros((active.size, 3), dtype=np.float32)
@@ -111,14 +112,6 @@ class Fluid:
             moving = flatten(velocity.reshape(*self.size, 3))[active]
         self._moving = [self._put(active, wp.int32), self._put(moving, wp.vec3)]
         self._net: Any = wp.zeros(self.boxes, dtype=wp.int64, device=self.device)
-
-    def _before(self, cells: Integers, normal: Integers) -> Integers:
-        """The cells before wall cells, against the direction out of the fluid; boxes wrap."""
-        shape = self.size[::-1]
-        at = np.array(np.unravel_index(cells, shape))
-        at[2 - normal // 2, np.arange(cells.size)] += np.where(normal % 2 == 0, -1, 1)
-        flat = np.ravel_multi_index(tuple(at), shape, mode="wrap")
-        return np.asarray(flat, dtype=np.int32)
 
     def accelerate(self, acceleration: NDArray[Any]) -> None:
         """Set a body force on all fluid: shape (E, 3) or (3,), in cells per step squared."""
@@ -190,11 +183,10 @@ class Fluid:
 
     def moments(self) -> tuple[Array32, Array32]:
         """Density (E, nx, ny, nz) and velocity (E, nx, ny, nz, 3), copied from the device."""
-        density: Any = wp.empty(self.boxes * self.cells, dtype=wp.float32, device=self.device)
-        velocity: Any = wp.empty(self.boxes * self.cells, dtype=wp.vec3, device=self.device)
-        self._launch(
-            self.kernels.fields, self.boxes * self.cells, [self.f, self.box, density, velocity]
-        )
+        total = self.boxes * self.cells
+        density: Any = wp.empty(total, dtype=wp.float32, device=self.device)
+        velocity: Any = wp.empty(total, dtype=wp.vec3, device=self.device)
+        self._launch(self.kernels.fields, total, [self.f, self.box, density, velocity])
         nx, ny, nz = self.size
         rho = density.numpy().reshape(self.boxes, nz, ny, nx).transpose(0, 3, 2, 1) + 1.0
         u = velocity.numpy().reshape(self.boxes, nz, ny, nx, 3).transpose(0, 3, 2, 1, 4)
@@ -203,11 +195,7 @@ class Fluid:
 
 def flatten(field: NDArray[Any]) -> NDArray[Any]:
     """A field of one box, shape (nx, ny, nz, ...), in the order of its cells: x fastest."""
-    return np.ascontiguousarray(
-        field.swapaxes(0, 2).reshape(
-            field.shape[0] * field.shape[1] * field.shape[2], *field.shape[3:]
-        )
-    )
+    return np.ascontiguousarray(field.swapaxes(0, 2).reshape(-1, *field.shape[3:]))
 
 
 def find_device(name: str) -> Any:  # noqa: ANN401 - Warp has no stubs

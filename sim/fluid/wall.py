@@ -5,8 +5,6 @@ layer. ``SLIP`` sets only the velocity across the surface, by ghost cells (``gho
 adds the layer's friction as a stress (Malaspinas and Sagaut, J. Comput. Phys. 275 (2014) 25).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

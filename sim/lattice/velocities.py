@@ -4,8 +4,6 @@ Source: Qian, d'Humieres, Lallemand, Europhys. Lett. 17 (1992) 479; Kruger et al
 Boltzmann Method (Springer, 2017), tables 3.2 and 3.5.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import product
 

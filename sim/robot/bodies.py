@@ -1,7 +1,5 @@
 """Robots in the boxes of a fluid: one for each box, all advanced together."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -15,7 +13,7 @@ from sim.lattice.cell import Covered
 from sim.lattice.populations import FIXED_POINT
 from sim.lattice.velocities import Units
 from sim.robot.chain import OnGrid, fill, still
-from sim.robot.effects import OFF, Outside, surface_drag
+from sim.robot.effects import Outside, no_effects, surface_drag
 from sim.robot.multibody import FREE, HELD, KINEMATIC, advance, move, start
 from sim.robot.rows import Masses, Rows, chain_rows, change_rows, make_chain
 from sim.robot.shape import Hull, displaced
@@ -67,7 +65,7 @@ class Bodies:
         inset: float = INSET,  # of the surface in cells, without slip
         # share of the displaced water on both sides of the equations, without slip
         virtual_mass: float = VIRTUAL_MASS,
-        outside: Outside = OFF,
+        outside: Outside | None = None,
     ) -> None:
         """Put robots into a fluid, straight, at the origin, heading along x."""
         self.fluid, self.hull, self.units = fluid, hull, units
@@ -87,7 +85,8 @@ class Bodies:
         if servos is not None:
             rows[:] = servos
         ends = np.tile([-_NO_LIMIT, _NO_LIMIT], (J, 1)) if limits is None else limits
-        self.chain = make_chain(self._rows(masses, rows, outside), hull.length, ends, device)
+        effects = no_effects(L) if outside is None else outside
+        self.chain = make_chain(self._rows(masses, rows, effects), hull.length, ends, device)
         self.chain.widest = wp.float64(hull.half_width.max())
         self.motion = still(E, L, device)
         grid = self.grid = fill(OnGrid(), device, position=(E,))
@@ -142,7 +141,7 @@ class Bodies:
         inner = np.stack([np.broadcast_to(water[:, 0], (E, L)), inside], axis=-1)
         rows["water"] = share * self._virtual * inner
         rows["weight"] = np.array((rows["mass"] if self.wall.slip else rows["water"])[..., 0])
-        resist = np.array(np.broadcast_to(outside.resist, (E, L, 4)))
+        resist = np.array(np.broadcast_to(outside["resist"], (E, L, 4)))
         resist[:, :, 2] *= water[:, 0]
         resist[:, :, 3] *= inside
         if not self.wall.slip:
@@ -158,68 +157,60 @@ class Bodies:
         """Set the head's x, y and heading, joint angles, and velocities, (E, N), by ``mask``."""
         E, N = self.motion.q.shape
         chosen = np.ones(E, dtype=bool) if mask is None else mask
-        for array, values in (
-            (self.motion.q, q),
-            (self.motion.v, np.zeros((E, N)) if v is None else v),
-        ):
-            content = array.numpy()
-            content[chosen] = np.broadcast_to(values, (E, N))[chosen]
-            array.assign(content)
+        states = {"q": q, "v": np.zeros((E, N)) if v is None else v}
+        rows = {name: np.broadcast_to(x, (E, N))[chosen] for name, x in states.items()}
+        change_rows(self.motion, rows, chosen)
         on_device: Any = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.fluid.device)
         self._launch(start, E, [self.chain, self.motion, self.grid, on_device])
 
     def step(self, mode: int = FREE) -> None:
         """Advance robots and fluid by one step of the lattice."""
-        fluid, robots = self.fluid, [self.chain, self.motion, self.grid, mode]
-        water = [fluid.f, fluid.box, fluid.covered]
-        self._sum_over_covered(water)
-        moved = [*robots, self.target, self.friction, fluid.stopped]
-        self._launch(advance, fluid.boxes, moved)
-        if self.wall.slip:
-            self._launch(self._cover.emit, (fluid.boxes, fluid.covered.lanes), water)
-        fluid.collide_and_stream()
-        self._launch(move, fluid.boxes, [*robots, fluid.stopped])
-
-    def _sum_over_covered(self, water: list[Any]) -> None:
-        """The fluid's sums over each link (``coupling.SUMS``)."""
-        boxes, covered = self.fluid.boxes, self.fluid.covered
-        columns = covered.side**2
-        if not self.wall.slip:
-            self._launch(self._cover, (boxes, columns), water, BLOCK)
-            return
-        covered.count.zero_()
-        parts = (boxes, -(-covered.tall // covered.layers), columns)
-        self._launch(self._cover.mark, parts, [*water[1:], self._touch], BLOCK)
+        fluid, covered, robots = (
+            self.fluid,
+            self.fluid.covered,
+            [self.chain, self.motion, self.grid],
+        )
+        boxes, columns, water = fluid.boxes, covered.side**2, [fluid.f, fluid.box, covered]
         listed = (boxes, covered.lanes)
-        self._launch(self._cover.shear, listed, [*water, self._touch, self.chain.rough])
-        self._launch(self._cover.cover, listed, water)
+        # The fluid's sums over each link (``coupling.SUMS``).
+        if self.wall.slip:
+            covered.count.zero_()
+            parts = (boxes, -(-covered.tall // covered.layers), columns)
+            self._launch(self._cover.mark, parts, [*water[1:], self._touch], BLOCK)
+            self._launch(self._cover.shear, listed, [*water, self._touch, self.chain.rough])
+            self._launch(self._cover.cover, listed, water)
+        else:
+            self._launch(self._cover, (boxes, columns), water, BLOCK)
+        moved = [*robots, mode, self.target, self.friction, fluid.stopped]
+        self._launch(advance, boxes, moved)
+        if self.wall.slip:
+            self._launch(self._cover.emit, listed, water)
+        fluid.collide_and_stream()
+        self._launch(move, boxes, [*robots, mode, fluid.stopped])
 
     def _launch(self, kernel: Any, dim: Any, inputs: list[Any], block: int = _BLOCK) -> None:  # noqa: ANN401
         wp.launch(kernel, dim=dim, inputs=inputs, device=self.fluid.device, block_dim=block)
 
     def prescribe(self, velocities: Array) -> None:
         """Velocities that ``KINEMATIC`` and ``HELD`` steps prescribe, shape (E, N) or (N,)."""
-        shape = self.target.shape
-        self.target.assign(
-            np.ascontiguousarray(np.broadcast_to(velocities, shape), dtype=np.float64)
-        )
+        values = np.broadcast_to(velocities, self.target.shape)
+        self.target.assign(np.ascontiguousarray(values, dtype=np.float64))
 
     def push(self, force: Array) -> None:
         """Set external forces from now on: N, N, N m and N m at the joints, shape (E, N)."""
-        shape = self.chain.push.shape
-        self.chain.push.assign(np.ascontiguousarray(np.broadcast_to(force, shape), np.float64))
+        values = np.broadcast_to(force, self.chain.push.shape)
+        self.chain.push.assign(np.ascontiguousarray(values, np.float64))
 
     def momentum(self) -> Array:
         """Momentum (E, 3) along x, y and about the origin, without the water inside the links."""
         m, w = self.chain.mass.numpy(), self.chain.water.numpy()
-        V, before, at = (
-            x.numpy() for x in (self.motion.twist, self.motion.before, self.motion.link)
-        )
+        s = self.motion
+        V, before, at = (x.numpy() for x in (s.twist, s.before, s.link))
         P = m[..., :1] * V[..., :2] + w[..., :1] * (V - before)[..., :2]
         spin = m[..., 1] * V[..., 2] + w[..., 1] * (V - before)[..., 2]
         L = spin + at[..., 0] * P[..., 1] - at[..., 1] * P[..., 0]
         whole = np.concatenate([P.sum(axis=1), L.sum(axis=1)[:, None]], axis=1)
-        return np.asarray(whole - self.motion.inner.numpy().sum(axis=1))
+        return np.asarray(whole - s.inner.numpy().sum(axis=1))
 
 
 __all__ = ["FREE", "HELD", "KINEMATIC", "Bodies", "Masses", "inset_at"]

@@ -3,10 +3,7 @@
 Each appendage resists at two points along its longer side, at the quadrature points of Gauss.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
 from itertools import product
 from math import sqrt
 
@@ -26,88 +23,57 @@ _GAUSS = (-1 / sqrt(12), 1 / sqrt(12))
 """Places of two points in units of a length, about its middle."""
 
 
-@dataclass(frozen=True)
-class Outside:
-    """Effects on E robots in addition to the fluid's forces; shapes may be broadcast.
-
-    The fields are those of ``body_effect.no_forces`` with E as first dimension; ``com``,
-    ``side`` and ``trim`` have the shape (E, 1), ``point`` is of ``points_of``, ``laden`` of
-    ``added_mass_of``.
-    """
-
-    com: Array
-    side: Array
-    rough: Array
-    resist: Array
-    point: Array
-    laden: Array
-    skin: Array
-    coupling: Array
-    tether: Array
-    trim: Array
-    current: Array
-    wall: Array
+Outside = dict[str, Array]
+"""Effects on E robots in addition to the fluid's forces: the quantities of ``no_forces``, ``point``
+of ``points_of`` and ``laden`` of ``added_mass_of``, E rows each; ``com``, ``side`` and
+``trim`` have the shape (E, 1)."""
 
 
 def outside(
     robot: Robot, models: Sequence[Model], hull: Hull, surface_m: float = np.inf
 ) -> Outside:
     """Sums of the models' effects, and the appendages; ``surface_m`` is above the hull's middle."""
-    forces = [_forces(robot, model, hull) for model in models]
-    points = points_of(robot, hull, surface_m)
-    stacked = {
-        field.name: np.array([of_robot[field.name] for of_robot in forces])
-        for field in fields(Outside)
-        if field.name not in ("point", "laden")
-    }
-    stacked["point"] = np.array([_with_drag(points, one, hull) for one in forces])
-    stacked["laden"] = added_mass_of(robot, hull, surface_m)[None]
-    for name in ("com", "side", "trim"):
-        stacked[name] = stacked[name][:, None]
-    return Outside(**stacked)
+    largest = np.pi * float((hull.half_width * hull.half_height).max())
+    materials = tuple(link.material or "" for link in robot.links)
+    body = SwimmingBody(np.asarray(hull.length), materials, largest, WATER_KG_M3)
+    points, start = points_of(robot, hull, surface_m), np.cumsum(hull.length)[:-1]
+    summed = []
+    for model in models:
+        forces, parameters = no_forces(len(robot.links)), values(model)
+        for effect in BODY:
+            names = [name for name in parameters if name.partition(".")[0] == effect.name]
+            kinds = (name.split(".")[1] if effect.by_material else "" for name in names)
+            for material in dict.fromkeys(kinds):
+                prefix = f"{effect.name}.{material}" if effect.by_material else effect.name
+                of = {p.name: parameters.get(f"{prefix}.{p.name}", 0.0) for p in effect.parameters}
+                for name, added in effect.adds(body, of, material).items():
+                    forces[name] = forces[name] + np.asarray(added)
+        # The errors of the appendages' areas, and the area that the file lacks.
+        point = points.copy()
+        point[:, :, 2:] *= 1 + forces["areas"]
+        behind = forces["lacking_at"] - hull.half_width[0, 0]
+        k = int(np.searchsorted(start, behind, side="right"))
+        drag = 0.5 * WATER_KG_M3 * forces["lacking"]
+        point[k, -1] = behind - (start[k - 1] if k else 0.0), 0.0, drag, drag
+        summed.append(forces | {"point": point})
+    return _stacked(summed) | {"laden": added_mass_of(robot, hull, surface_m)[None]}
 
 
-def _forces(robot: Robot, model: Model, hull: Hull) -> dict[str, Array]:
-    body = SwimmingBody(
-        np.asarray(hull.length),
-        tuple(link.material or "" for link in robot.links),
-        np.pi * float((hull.half_width * hull.half_height).max()),
-        WATER_KG_M3,
-    )
-    forces, parameters = no_forces(len(robot.links)), values(model)
-    for effect in BODY:
-        names = [name for name in parameters if name.partition(".")[0] == effect.name]
-        for material in dict.fromkeys(n.split(".")[1] if effect.by_material else "" for n in names):
-            prefix = f"{effect.name}.{material}" if effect.by_material else effect.name
-            stated = {p.name: parameters.get(f"{prefix}.{p.name}", 0.0) for p in effect.parameters}
-            for name, added in effect.adds(body, stated, material).items():
-                forces[name] = forces[name] + np.asarray(added)
-    return forces
+def _stacked(forces: Sequence[Mapping[str, Array]]) -> Outside:
+    stacked = {name: np.array([one[name] for one in forces]) for name in forces[0]}
+    return stacked | {name: stacked[name][:, None] for name in ("com", "side", "trim")}
 
 
-def _with_drag(points: Array, forces: Mapping[str, Array], hull: Hull) -> Array:
-    """The points of the appendages with the errors of their areas, and the area that they lack."""
-    out = points.copy()
-    out[:, :, 2:] *= 1 + forces["areas"]
-    start = np.concatenate([[-hull.half_width[0, 0]], np.cumsum(hull.length)[:-1]])
-    behind = forces["lacking_at"] - hull.half_width[0, 0]
-    k = int(np.searchsorted(start[1:], behind, side="right"))
-    out[k, -1] = behind - max(start[k], 0.0), 0.0, *(2 * [0.5 * WATER_KG_M3 * forces["lacking"]])
-    return out
+def no_effects(links: int) -> Outside:
+    """Those of one robot without any."""
+    off = no_forces(links) | {"point": np.zeros((1, 4)), "laden": np.zeros((3, 3))}
+    return _stacked([off])
 
 
 def surface_drag(outside: Outside, hull: Hull) -> Array:
     """Drag rho / 2 x area of the added friction along each link in N s2/m2, shape (E, L)."""
     around = np.pi * (hull.half_width + hull.half_height).mean(axis=1)
-    return np.asarray(0.5 * WATER_KG_M3 * around * hull.length * outside.rough)
-
-
-_ZERO = np.zeros(1)
-OFF = Outside(
-    _ZERO, _ZERO, _ZERO, np.zeros(4), np.zeros((1, 4)), np.zeros((3, 3)), np.zeros(4), _ZERO,
-    np.zeros(3), _ZERO, np.zeros(2), _ZERO,
-)  # fmt: skip
-"""No effects."""
+    return np.asarray(0.5 * WATER_KG_M3 * around * hull.length * outside["rough"])
 
 
 def points_of(robot: Robot, hull: Hull, surface_m: float) -> Array:

@@ -9,15 +9,7 @@ from sim.lattice.cell import BODY, GHOST, Box
 from sim.lattice.populations import populations
 from sim.lattice.velocities import Lattice
 from sim.robot.chain import RING, Chain, Motion, Reals, Reals2
-from sim2real.servo.effect_chain import (
-    arrival_time,
-    command_in_force,
-    error_seen,
-    friction_bound,
-    load_torque,
-    motor_torque,
-    shaft_inertia,
-)
+from sim2real.servo import effect_chain as sites
 from sim2real.servo.motor import (
     MOTOR_BIT,
     Push,
@@ -115,9 +107,9 @@ def drive(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
     explicit = bool(False)
     if active != wp.int64(0):
         before = s.torque[e, k]
-        error = command_in_force(u, q, v, before, now, h, p, z, active) - q
-        error = error_seen(error, q, v, before, now, h, p, z, active)
-        load = load_torque(load, q, v, before, now, h, p, z, active)
+        error = sites.command_in_force(u, q, v, before, now, h, p, z, active) - q
+        error = sites.error_seen(error, q, v, before, now, h, p, z, active)
+        load = sites.load_torque(load, q, v, before, now, h, p, z, active)
         push.torque = kp * error
         if kp > zero and (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0):
             m = read_motor(p)
@@ -128,13 +120,13 @@ def drive(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
             push.stiffness *= factor
         torque = push.torque - push.damping * v
         if kp > zero:
-            modified = motor_torque(torque, q, v, torque, now, h, p, z, active)
+            modified = sites.motor_torque(torque, q, v, torque, now, h, p, z, active)
             explicit = modified != torque
             torque = modified
-        bound = friction_bound(zero, q, v, torque, now, h, p, z, active)
+        bound = sites.friction_bound(zero, q, v, torque, now, h, p, z, active)
         if (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0):
             bound += gear_friction(v, torque, zero, read_motor(p))
-        inertia = shaft_inertia(zero, p, z, active)
+        inertia = sites.shaft_inertia(zero, p, z, active)
     s.torque[e, k] = torque
     rotor = inertia * v
     if explicit:
@@ -197,7 +189,7 @@ def send_to(e: int, k: int, u: wp.float64, chain: Chain, s: Motion) -> int:
     now = s.clock[e]
     arrives = now + p[2]
     if chain.active[e, k] != wp.int64(0):
-        arrives = arrival_time(
+        arrives = sites.arrival_time(
             arrives, wp.float64(number), zero, zero, now, zero, p, chain.memory[e, k],
             chain.active[e, k],
         )  # fmt: skip
@@ -209,11 +201,9 @@ def send_to(e: int, k: int, u: wp.float64, chain: Chain, s: Motion) -> int:
 
 @wp.kernel(enable_backward=False)
 def send(
-    command: wp.array2d(dtype=wp.float64),
-    chain: Chain,
-    s: Motion,
+    command: wp.array2d(dtype=wp.float64), chain: Chain, s: Motion,
     stopped: wp.array(dtype=wp.int32),
-):
+):  # fmt: skip
     """Send a set-point to joint k of robot e."""
     e, k = wp.tid()
     if stopped[e] < 0:

@@ -1,7 +1,5 @@
 """What simulators of a batch of robots share, in the fluid and in the twin: commands and state."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -100,7 +98,7 @@ class Robots(ABC):
             where, found = type(self).__name__.lower(), f"{len(models)} models"
             raise InputError(where, "model", found, f"{E}, one for each robot")
         effects = outside(self.robot, models, self.hull, self.surface_m)
-        self.current, self.step_count = effects.current.copy(), 0
+        self.current, self.step_count = effects["current"].copy(), 0
         return models, effects
 
     @abstractmethod
@@ -122,7 +120,7 @@ class Robots(ABC):
         """
         effects = outside(self.robot, models, self.hull, self.surface_m)
         self._adopt(which, models, effects)
-        self.current[which] = effects.current
+        self.current[which] = effects["current"]
 
     def reset(
         self, mask: Mask | None = None, pose: Array | None = None, joint: Array | None = None
@@ -137,9 +135,8 @@ class Robots(ABC):
         chosen = np.ones(E, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
         on_device: Any = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.device)
         q = np.zeros((E, 2 + self.hull.length.size))
-        if pose is None:
-            q[:, 0] = self.hull.length.sum() / 2 - self.chain.com.numpy()[:, 0]
-        else:
+        q[:, 0] = self.hull.length.sum() / 2 - self.chain.com.numpy()[:, 0]
+        if pose is not None:
             q[:, :3] = pose
         q[:, 3:] = (0.0 if joint is None else joint) + self.chain.trim.numpy()
         self._place(q, chosen, on_device)
@@ -179,17 +176,10 @@ class Robots(ABC):
         q[:, :2] += self.current * clock[:, None]
         v[:, :2] += self.current
         stopped[(stopped < 0) & ~np.isfinite(q).all(axis=1)] = 0
-        return State(
-            pose=q[:, :3],
-            velocity=np.concatenate([turned(v[:, :2], -q[:, 2]), v[:, 2:3]], axis=1),
-            joint=q[:, 3:],
-            rate=v[:, 3:],
-            measured=np.array(s.measured.numpy()),
-            torque=np.array(s.torque.numpy()),
-            force=np.array(s.force.numpy()),
-            time=clock,
-            stopped=stopped,
-        )
+        velocity = np.concatenate([turned(v[:, :2], -q[:, 2]), v[:, 2:3]], axis=1)
+        measured, torque, force = (np.array(x.numpy()) for x in (s.measured, s.torque, s.force))
+        joints = q[:, 3:], v[:, 3:], measured, torque
+        return State(q[:, :3], velocity, *joints, force, clock, stopped)
 
     def track(self) -> Array:
         """Poses and measured angles, shape (E, 3 + J); NaN of a stopped robot."""

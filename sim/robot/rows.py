@@ -1,7 +1,5 @@
 """Parameters of the robots of a batch, one row per robot: masses, servos, and rows of ``Chain``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -36,9 +34,10 @@ def chain_rows(masses: Masses, servos: Array, outside: Outside) -> Rows:
     """Rows of ``Chain`` that are the same in the fluid and the twin; ``servos`` is (E, J, P)."""
     E, J, columns = servos.shape
     L = J + 1
-    com = np.broadcast_to(masses.com + outside.com, (E, L))
-    side = np.broadcast_to(outside.side, (E, L))
-    point = np.array(np.broadcast_to(outside.point, (E, L, *outside.point.shape[-2:])))
+    com = np.broadcast_to(masses.com + outside["com"], (E, L))
+    side = np.broadcast_to(outside["side"], (E, L))
+    most = outside["point"].shape[-2]
+    point = np.array(np.broadcast_to(outside["point"], (E, L, most, 4)))
     point[..., 0] = com[..., None] - point[..., 0]
     point[..., 1] -= side[..., None]
     shapes = {"rough": (E, L), "skin": (E, J, 4), "coupling": (E,), "tether": (E, 3)}
@@ -47,8 +46,8 @@ def chain_rows(masses: Masses, servos: Array, outside: Outside) -> Rows:
         "com": com,
         "side": side,
         "point": point,
-        "laden": about(np.broadcast_to(outside.laden, (E, L, 3, 3)), -com, side),
-        **{k: np.broadcast_to(getattr(outside, k), shape) for k, shape in shapes.items()},
+        "laden": about(np.broadcast_to(outside["laden"], (E, L, 3, 3)), -com, side),
+        **{k: np.broadcast_to(outside[k], shape) for k, shape in shapes.items()},
         "servo": servos,
         "active": active_effects(np.ascontiguousarray(servos).reshape(-1, columns)).reshape(E, J),
     }

@@ -4,8 +4,6 @@ A link is the set of points nearer to its axis than a radius that varies along i
 ends; neighbours share the radius at their joint. Across, sections are ellipses.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 

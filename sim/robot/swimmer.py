@@ -1,7 +1,5 @@
 """Swimming robots in the lattice-Boltzmann fluid, one robot per box, in a batch of boxes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -114,8 +112,8 @@ class Swimmer(Robots):
             device=device, threads=threads,
         )  # fmt: skip
         self.device, self._stopped = self.fluid.device, self.fluid.stopped
-        if effects.wall.any() or (walls and effects.current.any()):
-            name = "wall_effect" if effects.wall.any() else "pool_current with walls"
+        if effects["wall"].any() or (walls and effects["current"].any()):
+            name = "wall_effect" if effects["wall"].any() else "pool_current with walls"
             raise InputError("model", "body.effects", name, "walls of the tank's own, still water")
         nx, ny, nz = self.tank.size
         self.bodies = Bodies(
@@ -160,18 +158,20 @@ class Swimmer(Robots):
         self._launch(send, (self.n_envs, len(self.robot.joints)), sent)
         for _ in range(self.substeps):
             self.bodies.step(FREE)
-        self._sponge()
-
-    def _sponge(self) -> None:
-        """Damp the water far from the robot, or keep the mass of a box with walls."""
         box, fluid = self.tank, self.fluid
-        if not box.sponge:
-            if self.bodies.wall.slip:
-                fluid.level()
-            return
-        reach = wp.vec2(*(side / 2 - box.sponge for side in box.size[:2]))
-        layer = [self.bodies.grid.position, reach, float(box.sponge), _SPONGE]
-        self._launch(fluid.kernels.damp, self.n_envs * fluid.cells, [fluid.f, fluid.box, *layer])
+        if box.sponge:  # damp the water far from the robot
+            reach = wp.vec2(*(side / 2 - box.sponge for side in box.size[:2]))
+            layer = [
+                fluid.f,
+                fluid.box,
+                self.bodies.grid.position,
+                reach,
+                float(box.sponge),
+                _SPONGE,
+            ]
+            self._launch(fluid.kernels.damp, self.n_envs * fluid.cells, layer)
+        elif self.bodies.wall.slip:  # keep the mass of a box with walls
+            fluid.level()
 
 
 def _check(robot: Robot, hull: Hull, box_m: tuple[float, float, float], cell_m: float) -> None:

@@ -84,12 +84,12 @@ class Twin(Robots):
         chain = chain_rows(inertial, servo_rows(self.robot, models), effects)
         chain["mass"] = np.stack([inertial.mass, inertial.inertia], axis=-1)
         chain["water"], chain["weight"] = np.zeros((E, L, 2)), np.array(inertial.mass)
-        resist = np.array(np.broadcast_to(effects.resist, (E, L, 4)))
+        resist = np.array(np.broadcast_to(effects["resist"], (E, L, 4)))
         water = law_rows(self.hull, self.surface_m, chain["com"], laws, resist[:, 0, 2])
         resist[:, :, 2:] = 0.0  # added mass is a part of the force law
         resist[:, :, 1] += surface_drag(effects, self.hull)
         chain["resist"] = resist
-        return chain, {**water, "wall": effects.wall}
+        return chain, {**water, "wall": effects["wall"]}
 
     def _adopt(self, which: Index, models: Sequence[Model], effects: Outside) -> None:
         chain, water = self._rows(models, effects)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sim2real.errors import InputError, library
-from sim2real.output import Results, check_not_read, check_writable, is_stream
+from sim2real.output import check_not_read, check_writable, is_stream, protect
 
 if TYPE_CHECKING:
     from sim2real.viewers.scenes import Scene
@@ -23,7 +23,7 @@ _VIEWS = {"rerun": (".rrd", "rerun"), "mcap": (".mcap", "mcap.writer")}
 """Ending and library of the files for viewers."""
 
 
-def check_files(options: argparse.Namespace, files: Results) -> None:
+def check_files(options: argparse.Namespace) -> None:
     """Declare all files that a command reads, none endless; it must write none of them."""
     writes = [name for name in WRITTEN if name not in _READ.get(options.command, ())]
     for name, value in vars(options).items():
@@ -32,7 +32,7 @@ def check_files(options: argparse.Namespace, files: Results) -> None:
                 if path.is_fifo() or (isinstance(value, Path) and path.is_char_device()):
                     kind = "a pipe" if path.is_fifo() else "a device"
                     raise InputError(path, "", kind, "a file")
-                files.protect(path)
+                protect(path)
     named: set[str] = set()
     for name in writes:
         for path in _paths(getattr(options, name, None)):

@@ -6,8 +6,6 @@ the body or the camera, add a file to ``body`` or ``camera`` (see ``body_effect`
 simulators, diagnoses and pages then support it.
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 import pkgutil

@@ -1,7 +1,5 @@
 """Definitions of effects of the body in the water and of the camera above it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-import warp as wp
+import warp as wp  # with F and Row the language of terms, for all effects
 
 from sim2real.inference.parameters import Parameter
 from sim2real.units import readable

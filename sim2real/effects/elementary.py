@@ -7,8 +7,6 @@ Both reduce the argument in two parts (Cody and Waite, Software Manual for the E
 are a few units in the last place of 1.
 """
 
-from __future__ import annotations
-
 import math
 
 import warp as wp

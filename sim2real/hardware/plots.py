@@ -9,8 +9,8 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.hardware.tracker import Track
+from sim2real.report.drawing import ACCENT, FAINT, INK, MUTED, new_figure
 from sim2real.report.series import Panel, series_figure
-from sim2real.report.style import ACCENT, FAINT, INK, MUTED, house_style, new_figure
 from sim2real.robot import Joint
 from sim2real.signals import Excitation
 from sim2real.viewers.scenes import COMMAND, SignalGroup
@@ -34,8 +34,7 @@ def track_figure(track: Track, corners_m: Array) -> Figure:
     """Plot path and headings in the pool; the path is interrupted at missing frames."""
     low, high = corners_m.min(axis=0), corners_m.max(axis=0)
     shape = (high[1] - low[1]) / (high[0] - low[0])
-    with house_style():
-        figure = new_figure(560 * min(shape, 1.2) + 60, "Track of the body over the pool")
+    with new_figure(560 * min(shape, 1.2) + 60, "Track of the body over the pool") as figure:
         axes = figure.subplots()
         axes.fill(*corners_m.T, facecolor="none", edgecolor=MUTED, linewidth=1.0)
         axes.plot(*track.pose[:, :2].T, color=ACCENT, linewidth=1.2)

@@ -1,29 +1,17 @@
 """Designed recordings as sections and figures: what they tell of parameters, or of rival sets."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.design.plan import Design, JointDesign, NextRecording
 from sim2real.design.tell_apart import JointForecast, RivalDesign
 from sim2real.diagnose.rival_sets import task
+from sim2real.display import Drawing
 from sim2real.report.page import Block, Note, Section, Table, Text
-from sim2real.report.quantity import printable
 from sim2real.report.series import Panel, series_block, series_figure
 from sim2real.units import readable_name, three_digits
 from sim2real.viewers.scenes import COMMAND, SignalGroup
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Drawing
-
-_LEAD = (
-    "Commands of {seconds:.0f} s that are expected to determine {joint} best, from what its "
-    "{origin} says{within}; {count} commands were compared. Intervals are those of 'identify' on "
-    "this recording alone, relative to the parameter."
-)
 _CAPTION = (
     "Command and expected motion; half-width of the 90 % interval of each parameter if the "
     "recording ended there, in percent of its value."
@@ -43,27 +31,22 @@ def design_section(design: Design, *, plots: bool = True) -> Section:
     for name, joint in design.joints.items():
         held = joint.limits.largest_held_rad
         within = f", within {held:.2g} rad of hanging, where its servo can hold the load"
-        lead = _LEAD.format(
-            seconds=len(design.t) * joint.limits.period_s,
-            joint=printable(name),
-            origin=joint.origin,
-            within=within if np.isfinite(held) else "",
-            count=joint.found.evaluated,
+        lead = (
+            f"Commands of {len(design.t) * joint.limits.period_s:.0f} s that are expected to "
+            f"determine {name} best, from what its {joint.origin} says"
+            f"{within if np.isfinite(held) else ''}; {joint.found.evaluated} commands were "
+            "compared. Intervals are those of 'identify' on this recording alone, relative to the "
+            "parameter."
         )
-        rows = [
-            (
-                readable_name(parameter),
-                f"± {three_digits(100 * width)} %",
-                "yes" if joint.determined[parameter] else "not determined",
-            )
-            for parameter, width in joint.expected.items()
-        ]
-        label = f"{name}: designed command"
-        blocks += [
-            Text(lead, heading=printable(name)),
-            Table(("parameter", "expected 90 % interval", "determined"), rows),
-        ]
+        rows = []
+        for parameter, width in joint.expected.items():
+            determined = "yes" if joint.determined[parameter] else "not determined"
+            half = f"± {three_digits(100 * width)} %"
+            rows.append((readable_name(parameter), half, determined))
+        header = ("parameter", "expected 90 % interval", "determined")
+        blocks += [Text(lead, heading=name), Table(header, rows)]
         if plots:
+            label = f"{name}: designed command"
             blocks.append(series_block(_panels(design.t, name, joint), label, _CAPTION))
     return Section("Next recording", "", blocks)
 

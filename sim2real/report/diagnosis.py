@@ -1,15 +1,11 @@
 """Diagnosis section of a report: where the model differs, missing effects, next experiment."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 
-from sim2real.diagnose.result import Diagnosis, JointSeries, Mismatch, NamedEffect, percent
+from sim2real.diagnose.result import Diagnosis, Mismatch, NamedEffect, percent
 from sim2real.diagnose.rival_sets import SEPARATED
-from sim2real.model import JointModel
 from sim2real.report.diagnosis_plots import (
     candidate_figure,
     listed,
@@ -20,7 +16,7 @@ from sim2real.report.diagnosis_plots import (
 )
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Figure, Note, Section, Table, Text
-from sim2real.report.quantity import change_text, milliradians, printable, quantities
+from sim2real.report.quantity import change_text, milliradians, quantities
 from sim2real.report.series import Panel, series_block
 from sim2real.units import readable, readable_name
 from sim2real.viewers.scenes import COMMAND, SignalGroup
@@ -160,10 +156,20 @@ def _where(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
     blocks: list[Block] = [Text(sentence, heading=f"Where {joint} differs")]
     evidence = [x for x in diagnosis.evidence if x.joint == joint and np.isfinite(x.position).any()]
     if evidence:
-        blocks.append(_residuals(mismatch, joint, evidence))
+        enriched = any(not np.array_equal(x.baseline, x.enriched) for x in evidence)
+        squares = lambda x: -float(np.nanmean((x.position - x.baseline) ** 2))  # noqa: E731
+        shown = sorted(evidence, key=squares)[:_STRIPS]
+        details = ", of the plain servo and with the named effects" if enriched else ""
+        if len(shown) < len(evidence):
+            of_all = f"{len(shown)} of {len(evidence)}"
+            details += f", in the {of_all} recordings with the largest errors"
+        shade = "; shaded: times with large residuals" if any(mismatch.windows_s.values()) else ""
+        panels = residual_panels(shown, mismatch.noise, mismatch.windows_s, enriched=enriched)
+        caption = _RESIDUAL.format(joint=joint, which=details, shade=shade)
+        label = f"{joint}: measured minus simulated, over time"
+        blocks.append(series_block(panels, label, caption))
         unit = "missing torque, N m" + ("/(kg m²)" if _per_inertia(diagnosis, joint) else "")
-        drawing = torque_figure(evidence, unit)
-        blocks.append(Figure(svg(drawing), _TORQUE.format(joint=joint)))
+        blocks.append(Figure(svg(torque_figure(evidence, unit)), _TORQUE.format(joint=joint)))
     ranked = sorted(mismatch.dependence.items(), key=lambda entry: -entry[1])
     shares = [
         (_STATES.get(name, name), f"{100 * x:.0f} %")
@@ -173,19 +179,6 @@ def _where(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
     if shares:
         blocks.append(Table(("state", "share"), shares, _DEPENDENCE.format(joint=joint)))
     return blocks
-
-
-def _residuals(mismatch: Mismatch, joint: str, evidence: Sequence[JointSeries]) -> Block:
-    enriched = any(not np.array_equal(series.baseline, series.enriched) for series in evidence)
-    largest = lambda x: -float(np.nanmean((x.position - x.baseline) ** 2))  # noqa: E731
-    shown = sorted(evidence, key=largest)[:_STRIPS]
-    details = ", of the plain servo and with the named effects" if enriched else ""
-    if len(shown) < len(evidence):
-        details += f", in the {len(shown)} of {len(evidence)} recordings with the largest errors"
-    shade = "; shaded: times with large residuals" if any(mismatch.windows_s.values()) else ""
-    panels = residual_panels(shown, mismatch.noise, mismatch.windows_s, enriched=enriched)
-    caption = _RESIDUAL.format(joint=joint, which=details, shade=shade)
-    return series_block(panels, f"{joint}: measured minus simulated, over time", caption)
 
 
 def _sound(diagnosis: Diagnosis) -> list[Block]:
@@ -201,9 +194,8 @@ def _sound(diagnosis: Diagnosis) -> list[Block]:
         fit = diagnosis.baseline_fit.get(f"{joint}.position_rad", {})
         rmse = fit.get("train") if (heldout := fit.get("heldout")) is None else heldout
         if rmse is not None:
-            noise = (
-                "" if (sd := fit.get("noise")) is None else f", with {milliradians(sd)} of noise"
-            )
+            sd = fit.get("noise")
+            noise = "" if sd is None else f", with {milliradians(sd)} of noise"
             errors.append(f"{joint} has an error of {milliradians(rmse)}{noise}")
     follow = "follow" if len(sound) > 1 else "follows"
     text = f"{listed(sound)} {follow} the plain servo down to the noise"
@@ -214,8 +206,12 @@ def _what(diagnosis: Diagnosis) -> list[Block]:
     """Probabilities, held-out errors, sizes, the bias of the plain fit, what is unexplained."""
     blocks: list[Block] = []
     if diagnosis.effects or diagnosis.rivals:
-        introduction = "Every effect of the catalogue was fitted, alone and in combination."
-        text = " ".join([introduction, *_written(diagnosis)])
+        text = "Every effect of the catalogue was fitted, alone and in combination."
+        named = {x for effect in diagnosis.effects for x in (effect.group or (effect.effect,))}
+        fitted = {e.effect for joint in diagnosis.model.joints.values() for e in joint.effects}
+        if others := listed([plain(name) for name in sorted(fitted - named)]):
+            text += " The written model was selected for prediction and also contains "
+            text += f"{others}; this does not imply that they are present."
         coloured = " Coloured: effects named above." if diagnosis.effects else ""
         caption = f"Probability of each candidate.{coloured}"
         drawing = svg(candidate_figure(diagnosis))
@@ -230,15 +226,6 @@ def _what(diagnosis: Diagnosis) -> list[Block]:
         if text:
             blocks.append(Text(text.strip(), heading=f"Unexplained residual of {joint}"))
     return blocks
-
-
-def _written(diagnosis: Diagnosis) -> list[str]:
-    """Sentence on effects of the written model, chosen for prediction, that are not named."""
-    named = {name for effect in diagnosis.effects for name in (effect.group or (effect.effect,))}
-    fitted = {e.effect for joint in diagnosis.model.joints.values() for e in joint.effects}
-    kinds = listed([plain(name) for name in sorted(fitted - named)])
-    text = f"The written model was selected for prediction and also contains {kinds}; this does not"
-    return [f"{text} imply that they are present."] if kinds else []
 
 
 def _ladders(diagnosis: Diagnosis) -> list[Block]:
@@ -263,45 +250,41 @@ def effect_tables(diagnosis: Diagnosis) -> list[Block]:
         (diagnosis.effects, "Size of each effect, with its 90 % interval below."),
         (diagnosis.negligible, _NEGLIGIBLE),
     ):
-        rows = [row for effect in effects for row in _effect_rows(diagnosis, effect)]
+        rows = []
+        for effect in effects:
+            bare = _per_inertia(diagnosis, effect.component)
+            sizes = []
+            for name, x in effect.parameters.items():
+                value, low, high = (
+                    readable(name, end, per_inertia=bare) for end in (x.mean, x.q05, x.q95)
+                )
+                estimate = value if low == high else f"{value}\n{low} – {high}"
+                sizes.append((readable_name(name), estimate))
+            what = (plain(effect.effect), effect.component, percent(effect.probability))
+            rows += [(*what, *size) for size in sizes or [("", "")]]
         if rows:
             header = ("effect", "of", "probability", "number", "estimate")
             blocks.append(Table(header, rows, caption))
     return blocks
 
 
-def _effect_rows(diagnosis: Diagnosis, effect: NamedEffect) -> list[tuple[str, ...]]:
-    bare = _per_inertia(diagnosis, effect.component)
-    what = (plain(effect.effect), printable(effect.component), percent(effect.probability))
-    rows: list[tuple[str, ...]] = []
-    for name, x in effect.parameters.items():
-        value, low, high = (readable(name, end, per_inertia=bare) for end in (x.mean, x.q05, x.q95))
-        estimate = value if low == high else f"{value}\n{low} – {high}"
-        rows.append((*what, printable(readable_name(name)), estimate))
-    return rows or [(*what, "", "")]
-
-
 def _shifts(diagnosis: Diagnosis) -> list[Block]:
+    """Change of each parameter of the servos in percent, values before and after."""
     joints = diagnosis.model.joints
-    rows: dict[str, tuple[str, ...]] = {}
+    rows: dict[str, list[str]] = {}
     for effect in diagnosis.effects:
         holders = (n for n, j in joints.items() if effect.effect in {e.effect for e in j.effects})
-        name = effect.component if effect.component in joints else next(holders, "")
-        if name and name not in rows:  # of effects that joints share, the first
-            rows[name] = _moves(joints[name], effect)
+        joint = effect.component if effect.component in joints else next(holders, "")
+        if not joint or joint in rows:  # of effects that joints share, the first
+            continue
+        rows[joint] = []
+        names = (("kp_Nm_per_rad", 1.0), ("kd_Nms_per_rad", 1.0), ("latency_s", 1e3))
+        for (name, scale), shown in zip(names, quantities(joints[joint]), strict=False):
+            before = shown.value - scale * effect.baseline_shift.get(name, 0.0)
+            change = change_text(before, shown.value).replace("-", "−")
+            rows[joint].append(f"{change}\n{before:.3g} to {shown.value:.3g} {shown.unit}")
     moved = [(name, *cells) for name, cells in rows.items() if any(x[:4] != "0 %\n" for x in cells)]
     return [Table(("servo", "kp", "kd", "latency"), moved, _SHIFTS)] if moved else []
-
-
-def _moves(joint: JointModel, effect: NamedEffect) -> tuple[str, ...]:
-    """A cell for each parameter of the servo: change in percent, values before and after."""
-    cells = []
-    names = (("kp_Nm_per_rad", 1.0), ("kd_Nms_per_rad", 1.0), ("latency_s", 1e3))
-    for (name, scale), shown in zip(names, quantities(joint), strict=False):
-        before = shown.value - scale * effect.baseline_shift.get(name, 0.0)
-        change = change_text(before, shown.value).replace("-", "−")
-        cells.append(f"{change}\n{before:.3g} to {shown.value:.3g} {shown.unit}")
-    return tuple(cells)
 
 
 def _next(diagnosis: Diagnosis) -> list[Block]:
@@ -321,15 +304,11 @@ def _limits(diagnosis: Diagnosis) -> list[Block]:
     cells: dict[str, dict[str, str]] = {}
     for limit in diagnosis.detection_limits:
         bare = _per_inertia(diagnosis, limit.component)
-        texts = [
-            readable(n, x, per_inertia=bare) for n, x in limit.smallest.items() if x is not None
-        ]
-        cells.setdefault(limit.effect, {})[limit.component] = "\n".join(texts)
+        sizes = ((name, x) for name, x in limit.smallest.items() if x is not None)
+        text = "\n".join(readable(name, x, per_inertia=bare) for name, x in sizes)
+        cells.setdefault(limit.effect, {})[limit.component] = text or "–"
     places = tuple(dict.fromkeys(limit.component for limit in diagnosis.detection_limits))
-    rows = [
-        (plain(effect), *(by_place.get(place) or "–" for place in places))
-        for effect, by_place in cells.items()
-    ]
+    rows = [(plain(x), *(row.get(place, "–") for place in places)) for x, row in cells.items()]
     if not rows:
         return []
     text = "Effects smaller than these cannot be detected in these recordings."

@@ -1,22 +1,16 @@
 """Figures and phrases of the diagnosis: bars, residuals over time, missing torque."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim2real.arrays import Array
-from sim2real.diagnose.result import Diagnosis, JointSeries, NamedEffect, percent
-from sim2real.report.quantity import printable
+from sim2real.diagnose.result import Diagnosis, JointSeries, percent
+from sim2real.display import Drawing
+from sim2real.report.drawing import ACCENT, FAINT, INK, MUTED, RULE, new_figure
+from sim2real.report.page import printable
 from sim2real.report.series import Panel, in_mrad
-from sim2real.report.style import ACCENT, FAINT, INK, MUTED, RULE, house_style, new_figure
 from sim2real.viewers.scenes import residual_group
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 POINTS = 1500
 """Maximum number of points of a cloud."""
@@ -25,10 +19,9 @@ _INSIDE = 99.5
 _ROW, _TITLE = 38.0, 36.0
 
 
-def bar_figure(rows: Sequence[tuple[float, str, bool]]) -> Figure:
+def bar_figure(rows: Sequence[tuple[float, str, bool]]) -> Drawing:
     """Plot probabilities as bars with labels above them, some of them highlighted."""
-    with house_style():
-        figure = new_figure(_ROW * len(rows) + _TITLE, "probability of each candidate")
+    with new_figure(_ROW * len(rows) + _TITLE, "probability of each candidate") as figure:
         axes = figure.subplots()
         for row, (share, label, strong) in enumerate(rows):
             colour, ink = (ACCENT, INK) if strong else (FAINT, MUTED)
@@ -41,9 +34,14 @@ def bar_figure(rows: Sequence[tuple[float, str, bool]]) -> Figure:
     return figure
 
 
-def candidate_figure(diagnosis: Diagnosis) -> Figure:
+def candidate_figure(diagnosis: Diagnosis) -> Drawing:
     """Probability of each candidate; only the verdict if there is none."""
-    named = [(effect.probability, _label(effect), True) for effect in diagnosis.effects]
+    named = []
+    for effect in diagnosis.effects:
+        members = list(map(plain, effect.group or (effect.effect,)))
+        one = "one of " if len(members) > 1 else ""
+        label = f"{effect.component}: {one}{listed(members, 'or')}"
+        named.append((effect.probability, label, True))
     others = [(r.probability, f"{r.component}: {plain(r.effect)}", False) for r in diagnosis.rivals]
     differing = {mismatch.component for mismatch in diagnosis.mismatch}
     others += [
@@ -53,12 +51,6 @@ def candidate_figure(diagnosis: Diagnosis) -> Figure:
     ]
     rows = [row for some in (named, others) for row in sorted(some, key=lambda row: -row[0])]
     return bar_figure(rows or [(0.0, diagnosis.verdict.replace("_", " "), False)])
-
-
-def _label(effect: NamedEffect) -> str:
-    members = list(map(plain, effect.group or (effect.effect,)))
-    one = "one of " if len(members) > 1 else ""
-    return f"{effect.component}: {one}{listed(members, 'or')}"
 
 
 def plain(effect: str) -> str:
@@ -98,15 +90,14 @@ def residual_panels(
     return panels
 
 
-def torque_figure(evidence: Sequence[JointSeries], unit: str) -> Figure:
+def torque_figure(evidence: Sequence[JointSeries], unit: str) -> Drawing:
     """Plot the torque missing from the plain servo against speed and position."""
-    speed, position, torque, sd = (
-        _joined(evidence, name) for name in ("speed", "position", "torque", "torque_sd")
-    )
+    names = ("speed", "position", "torque", "torque_sd")
+    parts = ([getattr(series, name) for series in evidence] for name in names)
+    speed, position, torque, sd = map(np.concatenate, parts)
     drawn = np.flatnonzero(np.isfinite(speed) & np.isfinite(position) & np.isfinite(torque))
     drawn = drawn[:: max(1, drawn.size // POINTS)]
-    with house_style():
-        figure = new_figure(280, printable(f"{evidence[0].joint}: missing torque"))
+    with new_figure(280, printable(f"{evidence[0].joint}: missing torque")) as figure:
         panels = figure.subplots(1, 2, sharey=True)
         states = (("speed, rad/s", speed), ("position, rad", position))
         for axes, (name, x) in zip(panels, states, strict=True):
@@ -124,7 +115,3 @@ def torque_figure(evidence: Sequence[JointSeries], unit: str) -> Figure:
             panels[0].set_ylim(-reach, reach)
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
     return figure
-
-
-def _joined(evidence: Sequence[JointSeries], name: str) -> Array:
-    return np.concatenate([getattr(series, name) for series in evidence])

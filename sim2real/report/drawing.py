@@ -1,4 +1,4 @@
-"""Output of figures: PNG files, and SVG elements for pages."""
+"""Figures of the report: their style, PNG files, and SVG elements for pages."""
 
 from __future__ import annotations
 
@@ -7,21 +7,106 @@ import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import quoteattr
 
+from sim2real.errors import optional
 from sim2real.output import write_whole
-from sim2real.report.style import VARIABLES, house_style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+INK, MUTED, FAINT, RULE = "#1c1e21", "#6a7078", "#a3a8af", "#dcdee1"
+ACCENT, PAPER = "#c73e1d", "#ffffff"
+VARIABLES = {
+    INK: "ink", MUTED: "muted", FAINT: "faint", RULE: "rule", ACCENT: "accent", PAPER: "paper",
+}  # fmt: skip
+"""CSS variables that a page sets for light, dark and print; elsewhere the colours are used."""
+WIDE = 720
+POINTS_PER_INCH = 72
 PNG_DPI = 150
 MARGIN_INCHES = 0.15
 # Without date and program, so that equal figures give equal files.
 _NO_METADATA = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+
+STYLE: dict[Any, Any] = {
+    **dict.fromkeys(("axes.edgecolor", "grid.color", "xtick.color"), RULE),
+    **dict.fromkeys(
+        ("axes.labelcolor", "axes.titlecolor", "xtick.labelcolor", "ytick.labelcolor"), MUTED
+    ),
+    **{f"axes.spines.{side}": False for side in ("left", "right", "top")},
+    **dict.fromkeys(("font.size", "axes.titlesize"), 11.5),
+    "font.family": "sans-serif",
+    "text.color": INK,
+    "text.parse_math": False,  # a $ in a joint's name is a $
+    "axes.linewidth": 0.8,
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "axes.grid.axis": "y",
+    "axes.titlelocation": "left",
+    "axes.titlepad": 9,
+    "axes.xmargin": 0.0,
+    "axes.ymargin": 0.08,
+    "axes.facecolor": "none",
+    "figure.facecolor": PAPER,
+    "figure.constrained_layout.h_pad": 0.1,
+    "figure.constrained_layout.w_pad": 0.04,  # fonts of browsers are a little wider
+    "figure.constrained_layout.wspace": 0.05,
+    "grid.linewidth": 0.6,
+    "xtick.major.size": 3,
+    "ytick.major.size": 0,
+    "legend.frameon": False,
+    "legend.labelcolor": "linecolor",
+    "legend.handlelength": 1.0,
+    "legend.handletextpad": 0.5,
+    "legend.columnspacing": 1.1,
+    "legend.borderpad": 0.0,
+    "legend.borderaxespad": 0.3,
+    **{f"lines.{kind}_capstyle": "round" for kind in ("solid", "dash")},
+    "path.simplify_threshold": 0.2,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "sim2real",
+    "savefig.bbox": None,
+}
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """Context manager that sets Matplotlib's style to that of the report."""
+    with optional("plots and pages"):
+        from matplotlib import rc_context
+    with rc_context(STYLE):
+        yield
+
+
+@contextmanager
+def new_figure(height: float, label: str) -> Iterator[Figure]:
+    """An empty figure of ``WIDE`` by ``height`` points, one pixel each, to be drawn in the style.
+
+    ``label`` is for screen readers.
+    """
+    with house_style():
+        size = (WIDE / POINTS_PER_INCH, height / POINTS_PER_INCH)
+        yield _notebook_figure()(figsize=size, layout="constrained", label=label)
+
+
+@cache
+def _notebook_figure() -> type[Figure]:
+    """Matplotlib's figure, which notebooks also show where pyplot is not imported."""
+    with optional("plots and pages"):
+        from matplotlib.figure import Figure
+
+    class NotebookFigure(Figure):
+        def _repr_png_(self) -> bytes:
+            stream = io.BytesIO()
+            with house_style():
+                self.savefig(stream, format="png", bbox_inches="tight")
+            return stream.getvalue()
+
+    return NotebookFigure
 
 
 def save_png(figure: Figure, path: str | os.PathLike[str]) -> Path:
@@ -61,13 +146,14 @@ def _inline(document: str, label: str) -> str:
     body = re.sub(r"(?s)<metadata>.*?</metadata>|<style[^>]*>.*?</style>|<!--.*?-->", "", body)
     used = dict.fromkeys(re.findall(r'(?:url\(|href=")#([\w-]+)', body))
     digest = sha256(document.encode()).hexdigest()[:8]
+    variables = {colour: f"var(--{name}, {colour})" for colour, name in VARIABLES.items()}
     ids = {name: f"f{digest}-{number}" for number, name in enumerate(used)}
     for pattern, replaced in (
         (r' id="([^"]*)"', lambda m: f' id="{ids[m[1]]}"' if m[1] in ids else ""),
         (r'(url\(|href=")#([\w-]+)', lambda m: f"{m[1]}#{ids[m[2]]}"),
         (r"xlink:href", lambda _: "href"),
         (r"font-family: [^;\"]*; ", lambda _: ""),
-        (r"(?<=: )#[0-9a-f]{6}", _variable),
+        (r"(?<=: )#[0-9a-f]{6}", lambda m: variables.get(m[0], m[0])),
         (r' (?:d|x|y)="[^"]*"', lambda m: re.sub(r"(\.\d\d)\d+", r"\1", m[0])),
         (r"\s*\n\s*", lambda _: " "),
     ):
@@ -75,8 +161,3 @@ def _inline(document: str, label: str) -> str:
     head = f'<svg xmlns="http://www.w3.org/2000/svg" {view[0]} role="img"'
     look = 'font-family="sans-serif" stroke-linejoin="round"'
     return f"{head} aria-label={quoteattr(label)} {look}>{body.strip()}"
-
-
-def _variable(colour: re.Match[str]) -> str:
-    name = VARIABLES.get(colour[0])
-    return f"var(--{name}, {colour[0]})" if name else colour[0]

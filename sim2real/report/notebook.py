@@ -3,8 +3,6 @@
 ``result_section`` dispatches on the type of the result; other packages register theirs with it.
 """
 
-from __future__ import annotations
-
 from functools import singledispatch
 
 from sim2real.check import Check
@@ -20,8 +18,8 @@ from sim2real.recording import Recording
 from sim2real.report.design_plot import design_section, rivals_section
 from sim2real.report.diagnosis import effect_tables
 from sim2real.report.identification import joint_blocks, model_blocks
-from sim2real.report.page import Note, Section, Table, render_fragment
-from sim2real.report.quantity import milliradians, printable
+from sim2real.report.page import Note, Section, Table, render_fragment, section_text
+from sim2real.report.quantity import milliradians
 from sim2real.report.ranges import (
     density_section,
     gathered_blocks,
@@ -31,7 +29,6 @@ from sim2real.report.ranges import (
 )
 from sim2real.report.recordings import check_section, recording_section
 from sim2real.report.servo_table import servos_section
-from sim2real.report.text import section_text
 from sim2real.robot import Density, Robot
 from sim2real.servo.prediction import Prediction
 from sim2real.servo_library.catalogue import ServoEntry, ServoLibrary
@@ -73,12 +70,12 @@ def _servo(entry: ServoEntry) -> Section:
     origin = f"licence {entry.licence}, source {entry.source}"
     scored = f"; held out: {entry.scored_on}" if entry.scored_on else ""
     blocks = [*servos_section([entry]).blocks, *model_blocks(entry.model)]
-    return Section("Servo", "", [*blocks, Note("info", printable(origin + scored))])
+    return Section("Servo", "", [*blocks, Note("info", origin + scored)])
 
 
 @result_section.register
 def _diagnosis(diagnosis: Diagnosis) -> Section:
-    verdict, *lines = (printable(line.strip()) for line in str(diagnosis).splitlines())
+    verdict, *lines = map(str.strip, str(diagnosis).splitlines())
     notes = [Note("info", line) for line in lines]
     return Section("Diagnosis", verdict.capitalize(), [*effect_tables(diagnosis), *notes])
 
@@ -91,30 +88,21 @@ def _posterior(posterior: Posteriors) -> Section:
 
 @result_section.register
 def _prediction(prediction: Prediction) -> Section:
-    rows = [
-        (printable(name), printable(joint), milliradians(error))
-        for (name, joint), error in prediction.rmse.items()
-    ]
+    rows = [(*place, milliradians(error)) for place, error in prediction.rmse.items()]
     return Section("Prediction", "", [Table(("recording", "joint", "RMSE"), rows)])
 
 
 @result_section.register
 def _robot(robot: Robot) -> Section:
-    links = [
-        (printable(link.name), *(_cell(vars(link)[key]) for key in ("mass_kg", "length_m")))
-        for link in robot.links
-    ]
-    joints = []
-    for joint in robot.joints:
-        limits = vars(joint)["limits_rad"]
-        between = "–" if limits is None else f"{limits[0]:.4g} to {limits[1]:.4g}"
-        joints.append((printable(joint.name), printable(joint.servo.name), between))
-    blocks = (
+    def cell(*numbers: float | None) -> str:
+        return " to ".join("–" if x is None else f"{x:.4g}" for x in numbers)
+
+    sheets = ((x.name, vars(x)) for x in robot.links)
+    links = [(name, cell(sheet["mass_kg"]), cell(sheet["length_m"])) for name, sheet in sheets]
+    moved = ((x, vars(x)["limits_rad"] or [None]) for x in robot.joints)
+    joints = [(x.name, x.servo.name, cell(*limits)) for x, limits in moved]
+    tables = [
         Table(("link", "mass\nkg", "length\nm"), links),
         Table(("joint", "servo", "limits\nrad"), joints),
-    )
-    return Section(f"Robot {printable(robot.name)}", "", blocks)
-
-
-def _cell(value: float | None) -> str:
-    return "–" if value is None else f"{value:.4g}"
+    ]
+    return Section(f"Robot {robot.name}", "", tables)

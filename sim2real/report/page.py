@@ -1,6 +1,7 @@
-"""A report as one self-contained HTML file, without network access or fonts.
+"""Sections of results, as text and as one self-contained HTML file without network access.
 
-The only script is that of plots of time series (``series``), in pages that have some.
+The only script is that of plots of time series (``series``), in pages that have some. Control
+characters, as in names from files, are replaced.
 """
 
 from __future__ import annotations
@@ -9,8 +10,10 @@ import base64
 import hashlib
 import os
 import re
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -26,6 +29,9 @@ _SHOWN = 12
 _NUMBER = re.compile(r"[<>≥≤±]?\s?[+\-−]?(\d[\d.,]*(e[+\-]?\d+)?|∞)(?![\w\-:])")
 _DASHES = ("", "-", "–", "−")
 _PART = re.compile(r"(?<=[_/.])(?=[A-Za-z])")
+WIDTH = 100
+_WIDE = 24
+"""Width of a column of text from which its cells may be cut off."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +108,47 @@ class Section:
     blocks: Sequence[Block] = ()
 
 
+def printable(text: str) -> str:
+    """``text`` without control characters but line breaks."""
+    kept = (x if x.isprintable() or x in "\n\u00a0" else "\N{REPLACEMENT CHARACTER}" for x in text)
+    return "".join(kept)
+
+
+def section_text(section: Section) -> str:
+    """The title, the summary, the tables and the notes of a section, for a terminal or a log."""
+    title = printable(f"{section.title}: {section.lead}".removesuffix(": "))
+    lines = textwrap.wrap(title, WIDTH)
+    for before, block in pairwise([None, *section.blocks]):
+        if isinstance(block, Table):
+            titles, _, units = zip(*(x.partition("\n") for x in block.header), strict=True)
+            header = [titles, units] if any(units) else [titles]
+            lines += ["", *_table_lines([*header, *block.rows], block.numeric)]
+        elif isinstance(block, Note):
+            lines += [""] if isinstance(before, Table) else []
+            mark, text = "! " if block.kind == "warn" else "  ", printable(block.text)
+            lines += textwrap.wrap(text, WIDTH, initial_indent=mark, subsequent_indent="  ")
+        elif isinstance(block, Text):
+            text = printable(block.paragraph)
+            lines += ["", printable(block.heading), *textwrap.wrap(text, WIDTH)]
+    return "\n".join(lines).strip()
+
+
+def _table_lines(rows: Sequence[Sequence[str]], right: Sequence[bool]) -> list[str]:
+    """Rows of cells as lines, in columns that fit; those with numbers are right-aligned."""
+    cells = [[printable(cell.replace("\n", ", ")) for cell in row] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    while sum(widths) + 2 * len(widths) > WIDTH and max(widths) > _WIDE:
+        widths[widths.index(max(widths))] -= 1
+    sides = [(str.rjust if is_right else str.ljust) for is_right in right]
+    return [
+        "  ".join(
+            side(cell if len(cell) <= width else cell[: width - 1] + "…", width)
+            for cell, width, side in zip(row, widths, sides, strict=True)
+        ).rstrip()
+        for row in cells
+    ]
+
+
 def write_page(
     path: str | os.PathLike[str],
     title: str,
@@ -114,15 +161,14 @@ def write_page(
 
 
 def render_page(
-    title: str,
-    subtitle: str,
-    sections: Sequence[Section],
-    provenance: Mapping[str, Any],
+    title: str, subtitle: str, sections: Sequence[Section], provenance: Mapping[str, Any]
 ) -> str:
     """The report as text; arguments as for ``write_page``."""
     live = any(isinstance(b, Figure) and b.live for s in sections for b in s.blocks)
     script = _texts("uplot/uPlot.iife.min.js", "live_plot.js") if live else ""
     style = ("page.css", *(("uplot/uPlot.min.css", "live_plot.css") if live else ()))
+    # A content security policy allows this script alone.
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return _template().render(
         title=title,
         subtitle=subtitle,
@@ -130,7 +176,7 @@ def render_page(
         origin=_origin(provenance),
         css=_texts(*style),
         script=script,
-        script_source=_script_source(script),
+        script_source=f"'sha256-{digest}'",
     )
 
 
@@ -144,11 +190,6 @@ def render_fragment(sections: Sequence[Section]) -> str:
 
 def _texts(*names: str) -> str:
     return "\n".join((_FOLDER / name).read_text(encoding="utf-8") for name in names)
-
-
-def _script_source(script: str) -> str:
-    """A source for ``script-src`` of a content security policy, which allows this script alone."""
-    return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
 
 
 def _template() -> Template:
@@ -190,7 +231,7 @@ def _is_number(cell: str, *, alone: bool = False) -> bool:
 
 def _prose(text: str) -> str:
     """``text`` with no-break spaces between numbers and percent signs."""
-    return re.sub(r"(?<=\d) (?=%)", "\N{NO-BREAK SPACE}", text)
+    return re.sub(r"(?<=\d) (?=%)", "\N{NO-BREAK SPACE}", printable(text))
 
 
 def _breakable(text: str) -> Markup:

@@ -1,7 +1,5 @@
 """Values for display, scaled and rounded, with unit and interval; rows of them as a table."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -64,10 +62,7 @@ def quantity_table(
     level: float = LEVEL,
 ) -> Table:
     """A table of quantities, each with the name of what it belongs to, such as a joint."""
-    cells = [
-        (printable(where), printable(q.name), q.texts[0], q.unit, q.between, q.remark)
-        for where, q in rows
-    ]
+    cells = [(where, q.name, q.texts[0], q.unit, q.between, q.remark) for where, q in rows]
     header = (place, "parameter", "value", "unit", f"{100 * level:g} % interval", "")
     return Table(header, cells, caption)
 
@@ -105,7 +100,7 @@ def effect_text(
         ends = (intervals or {}).get(f"{effect.effect}.{name}")
         between = f", {ends[0]:.3g} to {ends[1]:.3g}" if ends else ""
         parameters.append(f"{name} {value:.4g}{between}")
-    return printable(f"{effect.effect} ({'; '.join(parameters)})" if parameters else effect.effect)
+    return f"{effect.effect} ({'; '.join(parameters)})" if parameters else effect.effect
 
 
 def change_text(before: float, after: float) -> str:
@@ -122,13 +117,6 @@ def milliradians(angle_rad: float | None) -> str:
         return "-"
     angle = 1e3 * angle_rad
     return f"{angle:.1f} mrad" if abs(angle) >= 1 else f"{angle:.2g} mrad"
-
-
-def printable(text: str) -> str:
-    """``text`` without control characters, as names from files are printed to a terminal."""
-    return "".join(
-        letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text
-    )
 
 
 def _decimal_places(value: float, ends: tuple[float, float]) -> int:

@@ -1,31 +1,25 @@
 """Ranges and posteriors: tables, figures and sections of a report."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from sim2real.arrays import Array
+from sim2real.display import Drawing
 from sim2real.posterior.chain import LEAST_TIMES
-from sim2real.posterior.servo import LEVELS, PredictiveCheck, ServoPosterior
+from sim2real.posterior.servo import LEVELS, ServoPosterior
 from sim2real.ranges.entry import Ranges
 from sim2real.ranges.gather import Gathered
 from sim2real.ranges.latency import Cause, Latencies, LatencySplit
 from sim2real.ranges.population import TypeParameter
-from sim2real.report.drawing import svg
-from sim2real.report.page import Block, Figure, Note, Section, Table, Text
-from sim2real.report.quantity import Quantity, milliradians, printable, quantity_table
+from sim2real.report.drawing import ACCENT, FAINT, INK, PAPER, RULE, new_figure, svg
+from sim2real.report.page import Block, Figure, Note, Section, Table, Text, printable
+from sim2real.report.quantity import Quantity, milliradians, quantity_table
 from sim2real.report.series import Panel, in_mrad, series_block
-from sim2real.report.style import ACCENT, FAINT, INK, PAPER, RULE, house_style, new_figure
 from sim2real.robot import Density
 from sim2real.units import readable_name
 from sim2real.viewers.scenes import MEASURED, SignalGroup
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure as Drawing
 
 _LEAD = (
     "Ranges of each parameter in which the real robot may differ from its simulator. For a policy "
@@ -57,10 +51,6 @@ _DENSITY = (
     "Mass per length of each link over that of the whole robot{whiskers}. The area of a bar is "
     "the link's share of the mass."
 )
-_CHAIN = (
-    "{walkers} walkers made {steps} steps each, {spans:.0f} of the longest autocorrelation time; "
-    "{least} are required. {accepted:.0f} % of the moves were accepted."
-)
 _CORNER = (
     "Posterior of {joint}. On the diagonal each parameter with its median and its 5 % and 95 % "
     "quantiles; below it regions that contain 50, 80 and 95 %."
@@ -76,16 +66,12 @@ _INSIDE = ("#e9d9d4", "#d99a89", ACCENT)
 
 def range_blocks(ranges: Ranges) -> list[Block]:
     """Notes, and every range with its source."""
-    rows = [
-        (
-            printable(entry.parameter),
-            f"{entry.numbers(3 if entry.distribution == 'normal' else 5)} {entry.unit}".rstrip(),
-            "fixed" if entry.constant else f"{entry.distribution} per {entry.period}",
-            printable(entry.source),
-        )
-        for entry in ranges.entries
-    ]
-    notes = [Note("warn", printable(note)) for note in ranges.notes]
+    rows = []
+    for x in ranges.entries:
+        numbers = f"{x.numbers(3 if x.distribution == 'normal' else 5)} {x.unit}".rstrip()
+        drawn = "fixed" if x.constant else f"{x.distribution} per {x.period}"
+        rows.append((x.parameter, numbers, drawn, x.source))
+    notes = [Note("warn", note) for note in ranges.notes]
     return [Table(("parameter", "range", "drawn", "from"), rows, _TABLE), *notes]
 
 
@@ -95,8 +81,7 @@ def gathered_blocks(gathered: Gathered) -> list[Block]:
     if gathered.population:
         header = ("parameter", "unit", "mean", "between units", "between runs")
         caption = _POPULATION.format(level=100 * gathered.ranges.interval_level)
-        rows = [_spreads(parameter) for parameter in gathered.population]
-        blocks.insert(1, Table(header, rows, caption))
+        blocks.insert(1, Table(header, [*map(_spreads, gathered.population)], caption))
     return blocks
 
 
@@ -110,15 +95,14 @@ def _spreads(one: TypeParameter) -> tuple[str, ...]:
         sign = " %" if one.log and scale > 1 else ""
         cells.append(f"{value}{sign} ({low_text} to {high_text})" if ends else "-")
     joint, _, name = one.name.partition(".")
-    return (printable(f"{joint} {readable_name(name)}"), one.unit, *cells)
+    return (f"{joint} {readable_name(name)}", one.unit, *cells)
 
 
 def population_figure(parameters: Sequence[TypeParameter]) -> Drawing:
     """Plot each parameter by unit, with the mean and the range of a new unit as a band."""
     units = list(dict.fromkeys(unit for one in parameters for unit in one.units))
     rows = -(-len(parameters) // 2)
-    with house_style():
-        figure = new_figure(60 + 150 * rows, "parameters by unit; band: the range of a new unit")
+    with new_figure(60 + 150 * rows, "parameters by unit; band: the range of a new unit") as figure:
         panels = figure.subplots(rows, 2, sharex=True, squeeze=False).ravel()
         for axes, one in zip(panels, parameters, strict=False):
             scale, unit = (1e3, "ms") if one.unit == "s" else (1.0, one.unit)
@@ -142,29 +126,26 @@ def population_figure(parameters: Sequence[TypeParameter]) -> Drawing:
 
 def ranges_section(gathered: Gathered) -> Section:
     """Every range with its source, and the figures of latency and density."""
-    blocks = gathered_blocks(gathered)
+    blocks, latencies, density = gathered_blocks(gathered), gathered.latencies, gathered.density
     if gathered.population:
         blocks.append(Figure(svg(population_figure(gathered.population)), _BY_UNIT))
     if gathered.ranges.posterior:
         blocks.append(Text(_SAMPLES.format(file=gathered.ranges.posterior)))
-    if gathered.latencies is not None:
-        what = "window" if gathered.latencies.windows else "recording"
-        drawn = svg(latency_figure(gathered.latencies))
-        blocks.append(Figure(drawn, _LATENCY.format(what=what)))
-    if gathered.density is not None:
-        whiskers = "" if gathered.density.sd is None else "; whiskers are 90 % intervals"
-        caption = _DENSITY.format(whiskers=whiskers)
-        blocks.append(Figure(svg(density_figure(gathered.density)), caption))
+    if latencies is not None:
+        caption = _LATENCY.format(what="window" if latencies.windows else "recording")
+        blocks.append(Figure(svg(latency_figure(latencies)), caption))
+    if density is not None:
+        whiskers = "" if density.sd is None else "; whiskers are 90 % intervals"
+        blocks.append(Figure(svg(density_figure(density)), _DENSITY.format(whiskers=whiskers)))
     return Section("Ranges", _LEAD, blocks)
 
 
 def posterior_table(joint: str, posterior: ServoPosterior) -> Table:
     """Median and interval of each parameter."""
+    rows = []
     quantiles = posterior.quantiles(*posterior.shares).T
-    rows = [
-        (joint, Quantity(readable_name(prior.name), prior.unit, middle, (low, high)))
-        for prior, (low, middle, high) in zip(posterior.parameters, quantiles, strict=True)
-    ]
+    for prior, (low, middle, high) in zip(posterior.parameters, quantiles, strict=True):
+        rows.append((joint, Quantity(readable_name(prior.name), prior.unit, middle, (low, high))))
     caption = f"Medians and {100 * posterior.level:g} % intervals."
     return quantity_table(rows, caption=caption)
 
@@ -173,32 +154,27 @@ def posterior_section(gathered: Gathered, joint: str) -> Section:
     """Chain, corner plot and predictive check of a joint with a posterior."""
     posterior = gathered.posteriors[joint]
     mixing = posterior.chain
-    lead = _CHAIN.format(
-        walkers=mixing.accepted.size,
-        steps=mixing.steps,
-        spans=mixing.spans,
-        least=LEAST_TIMES,
-        accepted=100 * mixing.acceptance,
+    lead = (
+        f"{mixing.accepted.size} walkers made {mixing.steps} steps each, "
+        f"{mixing.spans:.0f} of the longest autocorrelation time; {LEAST_TIMES} are required. "
+        f"{100 * mixing.acceptance:.0f} % of the moves were accepted."
     )
     rows = [
-        (printable(readable_name(prior.name)), str(prior), f"{time:.1f}")
+        (readable_name(prior.name), str(prior), f"{time:.1f}")
         for prior, time in zip(posterior.parameters, mixing.times, strict=True)
     ]
     blocks: list[Block] = [
         posterior_table(joint, posterior),
         Table(("parameter", "prior", "autocorrelation\nsteps"), rows),
-        Figure(svg(corner_figure(posterior, joint)), _CORNER.format(joint=printable(joint))),
+        Figure(svg(corner_figure(posterior, joint)), _CORNER.format(joint=joint)),
     ]
-    if joint in gathered.checks:
-        blocks += _predictive(gathered.checks[joint], joint)
-    return Section(f"Posterior of {printable(joint)}", lead, blocks)
-
-
-def _predictive(check: PredictiveCheck, joint: str) -> list[Block]:
+    if joint not in gathered.checks:
+        return Section(f"Posterior of {joint}", lead, blocks)
+    check = gathered.checks[joint]
     shares = ", ".join(f"{100 * check.covered[x]:.0f} %" for x in LEVELS)
     bands = ", ".join(f"{100 * x:.0f}" for x in LEVELS)
     text = (
-        f"Predictive check: of {printable(check.recording)}, {shares} lies within the bands that "
+        f"Predictive check: of {check.recording}, {shares} lies within the bands that "
         f"should contain {bands} %; the error of the median is {milliradians(check.rmse)} (RMSE)."
     )
     signals = {
@@ -208,26 +184,22 @@ def _predictive(check: PredictiveCheck, joint: str) -> list[Block]:
     }
     group = SignalGroup((check.recording, joint, "residual"), "rad", check.t, signals)
     panel = Panel(in_mrad(group), "measured − predicted, mrad")
-    caption = _PREDICTIVE.format(joint=printable(joint), recording=printable(check.recording))
-    return [
+    caption = _PREDICTIVE.format(joint=joint, recording=check.recording)
+    label = f"{joint} in {check.recording}: residual"
+    blocks += [
         Note("good" if check.holds else "warn", text),
-        series_block([panel], f"{joint} in {check.recording}: residual", caption),
+        series_block([panel], label, caption),
     ]
+    return Section(f"Posterior of {joint}", lead, blocks)
 
 
 def density_section(density: Density) -> Section:
     """Mass, length and normalised density of each link."""
-    ends = density.interval
-    rows = [
-        (
-            printable(name),
-            f"{density.mass_kg[k]:.3f}",
-            f"{density.length_m[k]:.3f}",
-            f"{density.value[k]:.3f}",
-            "–" if ends is None else f"{ends[0, k]:.3f} to {ends[1, k]:.3f}",
-        )
-        for k, name in enumerate(density.links)
-    ]
+    ends, rows = density.interval, []
+    for k, name in enumerate(density.links):
+        numbers = (f"{x[k]:.3f}" for x in (density.mass_kg, density.length_m, density.value))
+        between = "–" if ends is None else f"{ends[0, k]:.3f} to {ends[1, k]:.3f}"
+        rows.append((name, *numbers, between))
     header = ("link", "mass\nkg", "length\nm", "density", "90 % interval")
     unknown = Note("warn", "mass_sd_kg and length_sd_m of the links would give intervals")
     blocks: list[Block] = [Table(header, rows), *([unknown] if ends is None else [])]
@@ -238,8 +210,7 @@ def density_figure(density: Density) -> Drawing:
     """Plot each link as a bar, as wide as it is long, whose area is its share of the mass."""
     start = np.cumsum(density.length_m) - density.length_m
     middle = start + density.length_m / 2
-    with house_style():
-        figure = new_figure(260, "normalised density of each link along the body")
+    with new_figure(260, "normalised density of each link along the body") as figure:
         axes = figure.subplots()
         axes.bar(start, density.value, density.length_m, align="edge", color=RULE, edgecolor=PAPER)
         axes.axhline(1.0, color=FAINT, linewidth=0.9, linestyle=(0, (4, 3)))
@@ -266,10 +237,10 @@ def latency_split_section(split: LatencySplit) -> Section:
         low, median, high = (f"{1e3 * x:.1f}" for x in (cause.low_s, cause.median_s, cause.high_s))
         seen = np.isfinite(cause.median_s)
         between = f"{low} to {high}" if seen else "–"
-        rows.append((cause.name, median if seen else "–", between, printable(cause.source)))
+        rows.append((cause.name, median if seen else "–", between, cause.source))
     table = Table(("cause", "median\nms", "90 % interval\nms", "from"), rows)
     joints = split.by_joint_s.items()
-    servos = ", ".join(f"{printable(name)} {1e3 * x:.1f} ms" for name, x in joints)
+    servos = ", ".join(f"{name} {1e3 * x:.1f} ms" for name, x in joints)
     notes = []
     for name, _ in joints:
         fit = split.model.fit.get(f"{name}.position_rad", {})
@@ -277,14 +248,13 @@ def latency_split_section(split: LatencySplit) -> Section:
         if error > _BIASED * noise:
             text = f"{name}: the fit is {1e3 * error:.1f} mrad off, {error / noise:.0f} times the "
             text += "noise: its latency may be biased (a robot with data sheets adds limits)"
-            notes.append(Note("warn", printable(text)))
+            notes.append(Note("warn", text))
     return Section("Latency", "", [table, Note("info", f"command by joint: {servos}"), *notes])
 
 
 def latency_split_figure(causes: Sequence[Cause]) -> Drawing:
     """Plot the median and interval of each cause that is seen."""
-    with house_style():
-        figure = new_figure(180, "latency by cause")
+    with new_figure(180, "latency by cause") as figure:
         axes, seen = figure.subplots(), [one for one in causes if np.isfinite(one.median_s)]
         for number, one in enumerate(seen):
             axes.plot([1e3 * one.low_s, 1e3 * one.high_s], [number] * 2, color=ACCENT, linewidth=6)
@@ -298,8 +268,7 @@ def latency_split_figure(causes: Sequence[Cause]) -> Drawing:
 
 def latency_figure(latencies: Latencies) -> Drawing:
     """Plot the latency of each episode with two standard errors, and the range."""
-    with house_style():
-        figure = new_figure(230, "latency of the commands by episode")
+    with new_figure(230, "latency of the commands by episode") as figure:
         axes, drawn = figure.subplots(), latencies.spread
         low, high = (1e3 * (drawn.centre + s * drawn.half_width) for s in (-1, 1))
         axes.axhspan(low, high, color=ACCENT, alpha=0.16, linewidth=0)
@@ -320,14 +289,15 @@ def corner_figure(posterior: ServoPosterior, joint: str) -> Drawing:
     scale = np.array([1e3 if unit == "s" else 1.0 for unit in units])
     values = posterior.values[:: max(1, posterior.values.shape[0] // _DRAWN)] * scale
     ends = np.quantile(values, [0.001, 0.999], axis=0)
-    with house_style():
-        figure = new_figure(140 + 120 * F, printable(f"posterior of {joint}"))
+    with new_figure(140 + 120 * F, printable(f"posterior of {joint}")) as figure:
         for (row, column), axes in np.ndenumerate(figure.subplots(F, F, squeeze=False)):
             axes.set_visible(column <= row)
             axes.grid(visible=False)
             axes.set_xlim(*ends[:, column])
             if row == column:
-                _histogram(axes, values[:, row], ends[:, row])
+                axes.hist(values[:, row], bins=_BINS, range=tuple(ends[:, row]), color=RULE)
+                for quantile in np.quantile(values[:, row], [0.05, 0.5, 0.95]):
+                    axes.axvline(quantile, color=ACCENT, linewidth=1.0)
                 unit = "ms" if units[row] == "s" else units[row]
                 label = f"{printable(readable_name(posterior.names[row]))}\n{unit}"
                 axes.set_title(label.strip(), color=INK, size=10)
@@ -340,13 +310,7 @@ def corner_figure(posterior: ServoPosterior, joint: str) -> Drawing:
     return figure
 
 
-def _histogram(axes: Axes, values: Array, ends: Array) -> None:
-    axes.hist(values, bins=_BINS, range=tuple(ends), color=RULE)
-    for quantile in np.quantile(values, [0.05, 0.5, 0.95]):
-        axes.axvline(quantile, color=ACCENT, linewidth=1.0)
-
-
-def _regions(axes: Axes, values: Array, ends: Array) -> None:
+def _regions(axes: Any, values: Array, ends: Array) -> None:  # noqa: ANN401 - a panel
     """Fill the smallest regions that contain each share of the draws."""
     from scipy.ndimage import gaussian_filter
 

@@ -1,7 +1,5 @@
 """Recordings and their checks: clock, noise, motion, and what can be identified."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,7 +8,6 @@ from sim2real.arrays import Array
 from sim2real.check import Check
 from sim2real.recording import Recording
 from sim2real.report.page import Block, Note, Section, Table, Text
-from sim2real.report.quantity import printable
 from sim2real.report.series import series_block, timing_panel
 
 _LEAD = (
@@ -22,19 +19,14 @@ _TIMING = "Clock of {recording}: the time from each sample to the next."
 
 def recording_section(recording: Recording) -> Section:
     """The summary of a recording, and a row for each joint."""
-    rows = [
-        (
-            printable(joint),
-            _span(recording.command[:, j]),
-            _span(recording.position[:, j]),
-            str(recording.missing(j)),
-        )
-        for j, joint in enumerate(recording.joints)
-    ]
+    rows = []
+    for j, joint in enumerate(recording.joints):
+        spans = (_span(angles[:, j]) for angles in (recording.command, recording.position))
+        rows.append((joint, *spans, str(recording.missing(j))))
     blocks: list[Block] = [Table(("joint", "command", "position", "missing samples"), rows)]
     if recording.columns:
-        blocks.append(Note("info", f"Further columns: {printable(', '.join(recording.columns))}"))
-    return Section(f"Recording {printable(recording.name)}", recording.summary, blocks)
+        blocks.append(Note("info", f"Further columns: {', '.join(recording.columns)}"))
+    return Section(f"Recording {recording.name}", recording.summary, blocks)
 
 
 def check_section(check: Check) -> Section:
@@ -46,19 +38,12 @@ def check_section(check: Check) -> Section:
         f"clock: {clock.rate_hz:.4g} Hz, jitter {1e3 * clock.jitter_s:.2g} ms, {pauses}, "
         f"{clock.missing_cells} positions missing"
     )
-    rows = [
-        (
-            printable(joint.joint),
-            str(joint.moves),
-            f"{joint.command_range_rad:.3f}",
-            f"{joint.range_rad:.3f}",
-            f"{1e3 * joint.noise_rad:.2f}",
-            f"{1e3 * joint.step_rad:.2f}" if joint.step_rad else "–",
-            str(joint.missing),
-            joint.load,
-        )
-        for joint in check.joints
-    ]
+    rows = []
+    for x in check.joints:
+        ranges = f"{x.command_range_rad:.3f}", f"{x.range_rad:.3f}"
+        step = f"{1e3 * x.step_rad:.2f}" if x.step_rad else "–"
+        sensor = f"{1e3 * x.noise_rad:.2f}", step, str(x.missing)
+        rows.append((x.joint, str(x.moves), *ranges, *sensor, x.load))
     header = (
         "joint", "moves", "command\nrad", "position\nrad", "noise\nmrad", "step\nmrad", "missing",
         "load",
@@ -68,8 +53,7 @@ def check_section(check: Check) -> Section:
         for x in check.all_findings
     ]
     notes += [Note("info", f"{row.joint}: {x}") for row in check.joints for x in row.identifiable]
-    notes = [Note(note.kind, printable(note.text)) for note in notes]
-    return Section(f"Check of {printable(check.recording)}", lead, [Table(header, rows), *notes])
+    return Section(f"Check of {check.recording}", lead, [Table(header, rows), *notes])
 
 
 def recordings_section(recordings: Sequence[Recording], checks: Sequence[Check]) -> Section:

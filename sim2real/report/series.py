@@ -1,37 +1,30 @@
 """Time series as a figure, and as plots of a page that a reader can zoom into with uPlot."""
 
-from __future__ import annotations
-
 import base64
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from sim2real.arrays import Array, Index, Mask
+from sim2real.display import Drawing
 from sim2real.inference.segments import runs
 from sim2real.recording import Recording
-from sim2real.report.drawing import svg
-from sim2real.report.page import Figure
-from sim2real.report.quantity import printable
-from sim2real.report.style import (
+from sim2real.report.drawing import (
     ACCENT,
     FAINT,
     INK,
     MUTED,
     RULE,
     VARIABLES,
-    house_style,
     new_figure,
+    svg,
 )
+from sim2real.report.page import Figure, printable
 from sim2real.viewers.scenes import COMMAND, MEASURED, SignalGroup, fit_groups
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure as Drawing
 
 GAP_INTERVALS = 3.0
 LONGEST = 4000
@@ -64,22 +57,19 @@ def series_block(
     panels: Sequence[Panel], label: str, caption: str = "", *, close_up: Sequence[Panel] = ()
 ) -> Figure:
     """Panels of one recording as a block, zoomed together; ``close_up`` where nothing can be."""
-    t_and_curves = [(panel, *panel.curves) for panel in panels if panel.group.signals]
-    content = [
-        {
-            "title": panel.title,
-            "recording": panel.group.path[0],
-            "t": _encoded(t),
-            "curves": [
-                {"label": name, "ink": VARIABLES[ink], "steps": name == COMMAND, "y": _encoded(y)}
-                for name, ink, y in curves
-            ],
-            "shaded": [list(ends) for ends in panel.shaded_s],
-            "band": panel.band,
-            "log": panel.log,
-        }
-        for panel, t, curves in t_and_curves
-    ]
+    content = []
+    for panel in panels:
+        if not panel.group.signals:
+            continue
+        t, curves = panel.curves
+        lines = [
+            {"label": name, "ink": VARIABLES[ink], "steps": name == COMMAND, "y": _encoded(y)}
+            for name, ink, y in curves
+        ]
+        shown = {"title": panel.title, "recording": panel.group.path[0], "t": _encoded(t)}
+        shaded = [list(ends) for ends in panel.shaded_s]
+        look = {"shaded": shaded, "band": panel.band, "log": panel.log}
+        content.append({**shown, "curves": lines, **look})
     # A "<" would let a name end the element of the page.
     live = json.dumps(content, allow_nan=False).replace("<", "\\u003c")
     return Figure(svg(series_figure([*panels, *close_up], label)), caption, live)
@@ -88,33 +78,29 @@ def series_block(
 def series_figure(panels: Sequence[Panel], label: str) -> Drawing:
     """Plot panels one below the other; lines are interrupted at gaps."""
     panels = [panel for panel in panels if panel.group.signals]
-    with house_style():
-        figure = new_figure(30 + 150 * max(1, len(panels)), printable(label))
+    with new_figure(30 + 150 * max(1, len(panels)), printable(label)) as figure:
         grid = figure.subplots(max(1, len(panels)), 1, squeeze=False)[:, 0]
         shown: list[str] = []
         for axes, panel in zip(grid, panels, strict=False):
-            _draw(axes, panel)
+            t, curves = panel.curves
+            for start, stop in panel.shaded_s:
+                axes.axvspan(start, stop, color=RULE, alpha=0.6, linewidth=0, zorder=0)
+            if panel.band is not None:
+                axes.axhspan(-panel.band, panel.band, color=ACCENT, alpha=0.16, linewidth=0)
+            for name, colour, values in curves:
+                look: dict[str, Any] = {"drawstyle": "steps-post"} if name == COMMAND else {}
+                axes.plot(t, values, color=colour, lw=1.1, label=printable(name), **look)
+                alone = isolated_samples(values)
+                dots: dict[str, Any] = {"markersize": 1.6, "markeredgewidth": 0}
+                axes.plot(t[alone], values[alone], "o", color=colour, **dots)
+            axes.set_title(printable(panel.title))
+            axes.set_yscale("log" if panel.log else "linear")
             if list(panel.group.signals) != shown and len(panel.group.signals) > 1:
                 place = {"loc": "lower right", "bbox_to_anchor": (1, 1.02)}
                 axes.legend(ncols=4, **(place if len(panel.group.signals) < 4 else {}))
             shown = list(panel.group.signals)
         grid[-1].set_xlabel("time, s")
     return figure
-
-
-def _draw(axes: Axes, panel: Panel) -> None:
-    t, curves = panel.curves
-    for start, stop in panel.shaded_s:
-        axes.axvspan(start, stop, color=RULE, alpha=0.6, linewidth=0, zorder=0)
-    if panel.band is not None:
-        axes.axhspan(-panel.band, panel.band, color=ACCENT, alpha=0.16, linewidth=0)
-    for name, colour, values in curves:
-        look: dict[str, Any] = {"drawstyle": "steps-post"} if name == COMMAND else {}
-        axes.plot(t, values, color=colour, linewidth=1.1, label=printable(name), **look)
-        alone = isolated_samples(values)
-        axes.plot(t[alone], values[alone], "o", color=colour, markersize=1.6, markeredgewidth=0)
-    axes.set_title(printable(panel.title))
-    axes.set_yscale("log" if panel.log else "linear")
 
 
 def fit_panels(
@@ -154,9 +140,8 @@ def fit_figure(
 def timing_panel(recording: Recording) -> Panel:
     """The time between samples."""
     interval = 1e3 * np.diff(recording.t)
-    group = SignalGroup(
-        (recording.name,), "ms", recording.t[1:], {"time between samples": interval}
-    )
+    signals = {"time between samples": interval}
+    group = SignalGroup((recording.name,), "ms", recording.t[1:], signals)
     low, median, high = np.percentile(interval, (5, 50, 95))
     title = f"ms between samples: {median:.1f}, nine in ten {low:.1f} to {high:.1f}"
     return Panel(group, f"{title}, longest {interval.max():.0f}")

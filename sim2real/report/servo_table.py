@@ -1,19 +1,14 @@
 """The library of servos as a table, as text, as a row in Markdown and as a plot."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim2real.report.page import Note, Section, Table
-from sim2real.report.quantity import milliradians, printable
-from sim2real.report.style import ACCENT, INK, house_style, new_figure
+from sim2real.display import Drawing
+from sim2real.report.drawing import ACCENT, INK, new_figure
+from sim2real.report.page import Note, Section, Table, printable
+from sim2real.report.quantity import milliradians
 from sim2real.servo_library.catalogue import ServoEntry
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 COLUMNS = ("name", "servo", "supply", "gain", "load", "held out", "date", "origin")
 _HELD_OUT = "held out: RMS error on trajectories that no fit used, where it was measured"
@@ -39,8 +34,7 @@ def cells(entry: ServoEntry) -> tuple[str, ...]:
 
 def servos_section(entries: Sequence[ServoEntry]) -> Section:
     """A row for each servo."""
-    rows = [tuple(map(printable, cells(entry))) for entry in entries]
-    return Section("Servos", "", [Table(COLUMNS, rows), Note("info", _HELD_OUT)])
+    return Section("Servos", "", [Table(COLUMNS, [*map(cells, entries)]), Note("info", _HELD_OUT)])
 
 
 def markdown_row(entry: ServoEntry) -> str:
@@ -49,16 +43,15 @@ def markdown_row(entry: ServoEntry) -> str:
     return f"| {' | '.join(map(printable, row))} |"
 
 
-def motor_figure(entries: Sequence[ServoEntry]) -> Figure:
+def motor_figure(entries: Sequence[ServoEntry]) -> Drawing:
     """Stall torque and no-load speed of servos with a known line; those identified are marked."""
     speed = "no_load_speed_rad_s"
     lines = [x for x in entries if not x.joint.per_inertia and x.joint.motor.get(speed)]
     torques = [stall_torque(entry.joint.motor) for entry in lines]
     speeds = [entry.joint.motor[speed] for entry in lines]
     colors = [ACCENT if entry.origin == "identified" else INK for entry in lines]
-    with house_style():
-        title = "Stall torque and no-load speed of each servo"
-        figure = new_figure(90 + 26 * max(1, len(lines)), title)
+    title = "Stall torque and no-load speed of each servo"
+    with new_figure(90 + 26 * max(1, len(lines)), title) as figure:
         panels = figure.subplots(1, 2, sharey=True)
         for axes, values in zip(panels, (torques, speeds), strict=True):
             axes.scatter(values, range(len(lines)), color=colors, s=26)

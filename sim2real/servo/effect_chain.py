@@ -3,8 +3,6 @@
 Sites are those of ``sim2real.effects.effect``; symbols those of ``law``.
 """
 
-from __future__ import annotations
-
 import warp as wp
 
 from sim2real.effects import CATALOGUE

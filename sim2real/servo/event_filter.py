@@ -8,8 +8,6 @@ Communications 32 (1984) 169-176). Each hypothesis has a Kalman filter of its ow
 IEEE Transactions on Automatic Control 15 (1970) 10-17).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -102,6 +100,10 @@ class EventFilter:
         self._slots = np.array([min(map(_slots, group)) for group in groups], dtype=np.int32)
         samples = zip(lines, channels, start, strict=True)
         ends = [np.append(first, channel.t.size) + at for (_, _, first), channel, at in samples]
+        # Innovations of the residual without any deviation, 0 where not counted.
+        innovations = [
+            np.where(x.scale > 0, whitened(x.residual, x.autoregression), 0.0) for x in channels
+        ]
         model = np.zeros((len(channels), self.order))
         for row, channel in zip(model, channels, strict=True):
             row[: channel.autoregression.size] = channel.autoregression
@@ -113,7 +115,7 @@ class EventFilter:
             np.concatenate([within for within, _, _ in lines]),
             np.concatenate([tail for _, tail, _ in lines]),
             np.concatenate(ends).astype(np.int32),
-            np.concatenate([_innovations(channel) for channel in channels]),
+            np.concatenate(innovations),
             np.concatenate([channel.scale * np.sqrt(channel.variance) for channel in channels]),
             model,
             np.array([channel.modes.gain for channel in channels]),
@@ -150,11 +152,13 @@ class EventFilter:
         settings = [*arrays, width, *scratch, to_warp(self._tolerance), *results]
         wp.launch(run_filter, (S, G), settings, device="cpu")
         value, counts, active = (x.numpy() for x in results)
-
-        def filtered(s: int, g: int) -> Filtered:
-            return Filtered(float(value[s, g]), counts[s, g], active[s, g, : self._slots[g]])
-
-        return [[filtered(s, g) for g in range(G)] for s in range(S)]
+        return [
+            [
+                Filtered(float(value[s, g]), counts[s, g], active[s, g, : self._slots[g]])
+                for g in range(G)
+            ]
+            for s in range(S)
+        ]
 
     def expected(
         self, active: Sequence[Integers], arrivals: Arrivals, span_s: float = 0.1
@@ -185,11 +189,6 @@ class EventFilter:
         parts = np.split(mean.numpy(), np.cumsum([channel.t.size for channel in channels])[:-1])
         sums = covariance.numpy().reshape(N, 2, p + 1, p + 1)
         return [Deviation(a, b) for a, b in zip(parts, sums, strict=True)]
-
-
-def _innovations(channel: Channel) -> Array:
-    """Innovations of the residual without any deviation, 0 where not counted, shape (T,)."""
-    return np.where(channel.scale > 0, whitened(channel.residual, channel.autoregression), 0.0)
 
 
 def _slots(channel: Channel) -> int:

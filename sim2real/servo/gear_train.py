@@ -26,15 +26,7 @@ import warp as wp
 
 from sim2real.effects import CATALOGUE
 from sim2real.effects.effect import F, Row
-from sim2real.servo.effect_chain import (
-    MOTOR_TORQUE_BITS,
-    command_in_force,
-    error_seen,
-    friction_bound,
-    load_torque,
-    motor_torque,
-    train_rotor,
-)
+from sim2real.servo import effect_chain as sites
 from sim2real.servo.motor import (
     MOTOR_BIT,
     Motor,
@@ -210,7 +202,7 @@ def controlled_side(p: Row) -> wp.vec2d:
 def train_of(inertia: F, p: Row, least: F) -> Train:
     """The gear train of a row, of so much inertia, a share of at least ``least`` on either side."""
     g = Train()
-    rotor = train_rotor(p)
+    rotor = sites.train_rotor(p)
     if rotor > wp.float64(0.0):
         rotor += p[wp.static(ROTOR_INERTIA)]
     else:
@@ -268,19 +260,9 @@ def sensed(q: F, p: Row, z: Row, active: wp.int64) -> F:
 
 @wp.func
 def train_substep(
-    state: wp.vec4d,
-    u: F,
-    time: F,
-    h: F,
-    kp: F,
-    kd: F,
-    g: Train,
-    m: Motor,
-    p: Row,
-    z: Row,
-    active: wp.int64,
-    tick: bool,
-) -> wp.vec4d:
+    state: wp.vec4d, u: F, time: F, h: F, kp: F, kd: F, g: Train, m: Motor, p: Row, z: Row,
+    active: wp.int64, tick: bool,
+) -> wp.vec4d:  # fmt: skip
     """The sub-step of a servo whose gear train is two masses.
 
     Loads act on the output's side, the friction of the motor's law and of other effects on the
@@ -299,9 +281,9 @@ def train_substep(
     seen = q - g.seen * (q - output)  # by the controller
     seen_speed = speed - g.seen_speed * rate
     weight = pendulum_torque(output, p[4]) + z[wp.static(LOAD_CELL)]
-    error = command_in_force(u, seen, seen_speed, state[2], time, h, p, z, others) - seen
-    error = error_seen(error, seen, seen_speed, state[2], time, h, p, z, others)
-    load = load_torque(weight, output, v - rate, state[2], time, h, p, z, others)
+    error = sites.command_in_force(u, seen, seen_speed, state[2], time, h, p, z, others) - seen
+    error = sites.error_seen(error, seen, seen_speed, state[2], time, h, p, z, others)
+    load = sites.load_torque(weight, output, v - rate, state[2], time, h, p, z, others)
     push = Push()
     push.torque = kp * error
     push.damping = kd
@@ -327,12 +309,14 @@ def train_substep(
     if kp > zero:
         torque = push.torque - push.damping * speed + push.seen_damping * rate
         # What effects change is explicit: the drive stays implicit, and stable.
-        if (others & wp.static(wp.int64(MOTOR_TORQUE_BITS))) != wp.int64(0):
-            push.torque += motor_torque(torque, q, speed, torque, time, h, p, z, others) - torque
+        if (others & wp.static(wp.int64(sites.MOTOR_TORQUE_BITS))) != wp.int64(0):
+            push.torque += (
+                sites.motor_torque(torque, q, speed, torque, time, h, p, z, others) - torque
+            )
     direction = speed
     if v == zero:
         direction = wp.float64(1e-9) * wp.sign(push.torque + load)
-    dry = friction_bound(
+    dry = sites.friction_bound(
         dry, q, direction, push.torque - push.damping * speed, time, h, p, z, others
     )
     torque = push.torque

@@ -6,18 +6,10 @@ where effect k of the catalogue is on and ``MOTOR_BIT`` where the motor is not l
 ``motor``). All float64, SI.
 """
 
-from __future__ import annotations
-
 import warp as wp
 
 from sim2real.effects.effect import F, Row
-from sim2real.servo.effect_chain import (
-    command_in_force,
-    error_seen,
-    friction_bound,
-    load_torque,
-    motor_torque,
-)
+from sim2real.servo import effect_chain as sites
 from sim2real.servo.gear_train import TRAIN_BITS, Train, train_substep
 from sim2real.servo.motor import (
     MOTOR_BIT,
@@ -49,20 +41,9 @@ def substep_of(effects: bool) -> wp.Function:
 
     @wp.func
     def substep(
-        state: wp.vec4d,
-        u: F,
-        time: F,
-        h: F,
-        kp: F,
-        kd: F,
-        inertia: F,
-        g: Train,
-        m: Motor,
-        p: Row,
-        z: Row,
-        active: wp.int64,
-        tick: bool,
-    ) -> wp.vec4d:
+        state: wp.vec4d, u: F, time: F, h: F, kp: F, kd: F, inertia: F, g: Train, m: Motor, p: Row,
+        z: Row, active: wp.int64, tick: bool,
+    ) -> wp.vec4d:  # fmt: skip
         half = wp.float64(0.5) * h
         v = state[1]
         q = state[0] + half * v
@@ -79,9 +60,9 @@ def substep_of(effects: bool) -> wp.Function:
         if (others & wp.static(wp.int64(TRAIN_BITS))) != wp.int64(0):
             return train_substep(state, u, time, h, kp, kd, g, m, p, z, active, tick)
         if others != wp.int64(0):
-            error = command_in_force(u, q, speed, state[2], time, h, p, z, active) - q
-            error = error_seen(error, q, speed, state[2], time, h, p, z, active)
-            load = load_torque(load, q, speed, state[2], time, h, p, z, active)
+            error = sites.command_in_force(u, q, speed, state[2], time, h, p, z, active) - q
+            error = sites.error_seen(error, q, speed, state[2], time, h, p, z, active)
+            load = sites.load_torque(load, q, speed, state[2], time, h, p, z, active)
         after = ((wp.float64(1.0) - damping) * v + impulse * (kp * error + load)) * stiff
         middle = wp.float64(0.5) * (v + after)
         torque = pd_torque(kp, kd, error, middle)
@@ -107,7 +88,7 @@ def substep_of(effects: bool) -> wp.Function:
                 dry = gear_friction(speed, torque, weight, m)
         if others != wp.int64(0):
             if kp > zero:
-                output = motor_torque(torque, q, middle, torque, time, h, p, z, active)
+                output = sites.motor_torque(torque, q, middle, torque, time, h, p, z, active)
                 if output != torque:
                     beyond = p[wp.static(_LIMIT + 1)] * p[1]
                     drive = output + beyond * middle
@@ -126,7 +107,7 @@ def substep_of(effects: bool) -> wp.Function:
             direction = speed
             if v == zero:
                 direction = wp.float64(1e-9) * wp.sign(after)  # opposes the impending motion
-            dry = friction_bound(dry, q, direction, torque, time, h, p, z, active)
+            dry = sites.friction_bound(dry, q, direction, torque, time, h, p, z, active)
         stop = impulse * stiff * dry
         if stop > zero:
             if (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0) and softness(m) > zero:

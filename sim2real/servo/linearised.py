@@ -3,8 +3,6 @@
 I q'' + kd q' + (kp + gravity) q = kp u + torque, the pendulum linearised about the mean set-point.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -21,24 +19,17 @@ _DRIFT = COLUMNS.index("clock_drift.s_per_s")
 
 
 def residual_torque(
-    t: Array,
-    residual: Array,
-    servo: tuple[float, float, float],
-    noise_rad: float,
-    *,
-    window_s: float = 0.18,
-    degree: int = 3,
+    t: Array, residual: Array, servo: tuple[float, float, float], noise_rad: float
 ) -> tuple[Array, Array]:
     """Torque in N m to add to the model so that it follows the measurement, and its sd, both (T,).
 
     ``-(inertia r'' + kd r' + stiffness r)``, r the simulated minus measured angle in rad (T,), NaN
-    where none was measured, smoothed by local polynomials: Savitzky, Golay, Analytical Chemistry 36
-    (1964) 1627-1639. ``servo``: inertia in kg m2, kd in N m s/rad, and stiffness (kp and the
-    weight's) in N m/rad; ``noise_rad``: standard deviation of the measurement noise;
-    ``window_s``, ``degree``: of the polynomials.
+    where none was measured, smoothed by cubic polynomials over 0.18 s: Savitzky, Golay, Analytical
+    Chemistry 36 (1964) 1627-1639. ``servo``: inertia in kg m2, kd in N m s/rad, and stiffness (kp
+    and the weight's) in N m/rad; ``noise_rad``: standard deviation of the measurement noise.
     """
-    step = float(np.median(np.diff(t)))
-    half = max(2, round(window_s / step / 2))
+    step, degree = float(np.median(np.diff(t))), 3
+    half = max(2, round(0.18 / step / 2))
     length = int(min(2 * half + 1, t.size - 1 + t.size % 2))
     grid = t[0] + step * np.arange(int(round((t[-1] - t[0]) / step)) + 1)
     measured = np.isfinite(residual)
@@ -79,11 +70,12 @@ class Modes:
     gain: float
 
 
-def gain_derivatives(residual: Residual, *, latency_s: float = 1e-4, share: float = 1e-3) -> Array:
+def gain_derivatives(residual: Residual) -> Array:
     """Derivatives (T, 3) of the angle in rad by the latency in s and the logarithms of kd, kp.
 
-    Central differences of simulations, by ``latency_s`` and by a ``share`` of the gains.
+    Central differences of simulations, by 0.1 ms and by a thousandth of the gains.
     """
+    latency_s, share = 1e-4, 1e-3
     servo = np.array([residual.kp, residual.kd, residual.latency_s])
     sides = np.concatenate([side * np.eye(3)[[2, 1, 0]] for side in (-1, 1)])
     rows = np.zeros((6, len(COLUMNS)))

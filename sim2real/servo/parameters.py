@@ -1,7 +1,5 @@
 """Layout of the row of parameters of one joint, as rollouts take it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -5,8 +5,6 @@ milliseconds for as long as a bus is late. Taken for white noise, these errors l
 readings at rest speak for whatever happens to have their shape.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import astuple, replace
 from typing import Any

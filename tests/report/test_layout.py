@@ -9,10 +9,9 @@ import pytest
 from rl.experiments.ablation_report import OUTCOME, return_figure
 from rl.experiments.figures import aligned, bars_figure, paths_figure
 from sim2real.report.diagnosis_plots import bar_figure
-from sim2real.report.drawing import svg
+from sim2real.report.drawing import POINTS_PER_INCH, house_style, svg
 from sim2real.report.identification import parameter_figure
 from sim2real.report.ranges import density_figure, latency_figure
-from sim2real.report.style import POINTS_PER_INCH, house_style
 
 SLACK_POINTS = 1.0
 LINKS = np.array([1.2, 1.1, 0.9, 0.6])

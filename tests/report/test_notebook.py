@@ -20,8 +20,8 @@ from sim2real.ranges.entry import Ranges, normal, uniform
 from sim2real.ranges.gather import Gathered
 from sim2real.recording import Recording
 from sim2real.report.notebook import result_html
+from sim2real.report.page import WIDTH
 from sim2real.report.quantity import Quantity, quantity_table
-from sim2real.report.text import WIDTH
 from sim2real.robot import Density, read_robot
 from sim2real.servo.prediction import Prediction
 

@@ -1,8 +1,7 @@
 """Change of the added mass of the links, as a share of the displaced water.
 
-Acts on each link's motion normal to its axis and in rotation.
-
-Confused with: drag normal to the links; accelerations distinguish them.
+Acts on each link's motion normal to its axis and in rotation. Confused with: drag normal to the
+links; accelerations distinguish them.
 """
 
 from sim2real.effects.body_effect import BodyEffect, Parameter

@@ -1,10 +1,9 @@
 """Error of the drag areas of the appendages in the robot file, relative to them.
 
 ``area = (1 + ratio) area of the file`` for all appendages, along and across their links. It stands
-for the coefficients, whose errors are alike: interference, turbulence, roughness.
-
-Confused with: form drag, skin friction. It is fitted by a calibration, with the standard deviations
-of the coefficients as prior, and not offered by a diagnosis.
+for the coefficients, whose errors are alike: interference, turbulence, roughness. Confused with:
+form drag, skin friction. It is fitted by a calibration, with the standard deviations of the
+coefficients as prior, and not offered by a diagnosis.
 """
 
 from sim2real.effects.body_effect import BodyEffect, Parameter

@@ -2,9 +2,8 @@
 
 ``force = -rho / 2 area speed v`` at a point of the axis, whose velocity is ``v``. The area includes
 the drag coefficient, and is the same along the link and across it. ``x_m`` is the distance behind
-the front of the straight robot.
-
-Confused with: form drag, which acts along the head only; skin friction.
+the front of the straight robot. Confused with: form drag, which acts along the head only; skin
+friction.
 """
 
 from sim2real.effects.body_effect import BodyEffect, Parameter

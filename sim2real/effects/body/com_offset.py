@@ -1,8 +1,7 @@
 """The centre of mass is displaced from the stated one, forward and to the left.
 
-All links' centres of mass are displaced by the same distances.
-
-Confused with: an offset of the marker.
+All links' centres of mass are displaced by the same distances. Confused with: an offset of the
+marker.
 """
 
 from sim2real.effects.body_effect import BodyEffect, Parameter

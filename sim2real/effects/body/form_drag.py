@@ -1,8 +1,7 @@
 """Change of the form drag of the body, which is quadratic in speed.
 
-``force = -rho / 2 coefficient area u^2`` along the head; the largest cross-section.
-
-Confused with: skin friction, which grows with speed in the same way.
+``force = -rho / 2 coefficient area u^2`` along the head; the largest cross-section. Confused with:
+skin friction, which grows with speed in the same way.
 """
 
 from sim2real.effects.body_effect import BodyEffect, Parameter

@@ -1,8 +1,7 @@
 """Change of the drag that is proportional to the speed of the body.
 
-``force = -coefficient v``, distributed over the links in proportion to their lengths.
-
-Confused with: form drag, skin friction; slow and fast swims distinguish them.
+``force = -coefficient v``, distributed over the links in proportion to their lengths. Confused
+with: form drag, skin friction; slow and fast swims distinguish them.
 """
 
 import numpy as np

@@ -1,8 +1,7 @@
 """A uniform current in the pool.
 
-The water's velocity in the world frame.
-
-Confused with: a position error of the camera; swims in both directions distinguish them.
+The water's velocity in the world frame. Confused with: a position error of the camera; swims in
+both directions distinguish them.
 """
 
 from sim2real.effects.body_effect import BodyEffect, Parameter

@@ -1,8 +1,7 @@
 """The skin couples neighbouring joints elastically.
 
-``torque = stiffness (q_before + q_after - 2 q)`` at each joint.
-
-Confused with: an elastic skin; moving one joint alone distinguishes them.
+``torque = stiffness (q_before + q_after - 2 q)`` at each joint. Confused with: an elastic skin;
+moving one joint alone distinguishes them.
 """
 
 from sim2real.effects.body_effect import BodyEffect, Parameter

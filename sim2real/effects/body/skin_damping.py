@@ -1,8 +1,7 @@
 """The skin over the joints damps their motion.
 
-``torque = -damping q'`` at each joint.
-
-Confused with: the servo's damping; bench recordings with and without the skin distinguish them.
+``torque = -damping q'`` at each joint. Confused with: the servo's damping; bench recordings with
+and without the skin distinguish them.
 """
 
 from sim2real.effects.body_effect import BodyEffect, Parameter

@@ -1,8 +1,7 @@
 """The skin over the joints is a spring towards the straight posture.
 
-``torque = -stiffness q`` at each joint.
-
-Confused with: a smaller servo gain; swims with the torque off distinguish them.
+``torque = -stiffness q`` at each joint. Confused with: a smaller servo gain; swims with the torque
+off distinguish them.
 """
 
 from sim2real.effects.body_effect import BodyEffect, Parameter

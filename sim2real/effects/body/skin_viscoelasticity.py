@@ -1,9 +1,8 @@
 """The skin over the joints is viscoelastic: its spring force relaxes with time.
 
 A spring in series with a damper at each joint (Maxwell element of a standard linear solid): the
-strain of the spring decays with the time constant ``relaxation_s``.
-
-Confused with: elasticity or damping alone; slow and fast strokes distinguish them.
+strain of the spring decays with the time constant ``relaxation_s``. Confused with: elasticity or
+damping alone; slow and fast strokes distinguish them.
 """
 
 from sim2real.effects.body_effect import BodyEffect, Parameter

@@ -1,8 +1,7 @@
 """A cable pulls the head towards a point in the pool.
 
-``force = stiffness (anchor - head)``.
-
-Confused with: a current; the end point of the swim distinguishes them.
+``force = stiffness (anchor - head)``. Confused with: a current; the end point of the swim
+distinguishes them.
 """
 
 from sim2real.effects.body_effect import BodyEffect, Parameter

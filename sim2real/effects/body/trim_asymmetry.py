@@ -1,8 +1,7 @@
 """All joints have the same offset angle.
 
-``q = 0`` is displaced by ``offset_rad`` at every joint.
-
-Confused with: a lateral current; swims in both directions distinguish them.
+``q = 0`` is displaced by ``offset_rad`` at every joint. Confused with: a lateral current; swims in
+both directions distinguish them.
 """
 
 from sim2real.effects.body_effect import BodyEffect, Parameter

@@ -1,8 +1,7 @@
 """Near a wall the thrust is larger, by this share at a distance of one body length.
 
-The reactive thrust is larger by ``ratio (length / gap)^2``.
-
-Confused with: less drag; swims far from the walls distinguish them.
+The reactive thrust is larger by ``ratio (length / gap)^2``. Confused with: less drag; swims far
+from the walls distinguish them.
 """
 
 from sim2real.effects.body_effect import BodyEffect, Parameter

@@ -1,8 +1,7 @@
 """The axes of the camera are rotated relative to the pool's.
 
-Positions are rotated by ``angle_rad`` about the pool's origin; headings are not.
-
-Confused with: a lateral current.
+Positions are rotated by ``angle_rad`` about the pool's origin; headings are not. Confused with: a
+lateral current.
 """
 
 import numpy as np

@@ -1,9 +1,7 @@
 """Some frames are lost and the previous pose is repeated.
 
 On average the poses are then late by p / (1 - p) frames; this mean delay is applied, so that the
-result is a smooth function of p.
-
-Confused with: latency.
+result is a smooth function of p. Confused with: latency.
 """
 
 import numpy as np

@@ -1,8 +1,6 @@
 """The marker is displaced from the head's centre of mass, forward and to the left.
 
-``position + R(heading) (x, y)``.
-
-Confused with: an offset of the centre of mass.
+``position + R(heading) (x, y)``. Confused with: an offset of the centre of mass.
 """
 
 import numpy as np

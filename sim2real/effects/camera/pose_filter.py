@@ -1,8 +1,7 @@
 """The poses are smoothed by a first-order low-pass filter.
 
-``time_constant p' + p = true p``.
-
-Confused with: latency, which has the same effect at low frequencies.
+``time_constant p' + p = true p``. Confused with: latency, which has the same effect at low
+frequencies.
 """
 
 import numpy as np

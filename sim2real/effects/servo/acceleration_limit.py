@@ -2,20 +2,15 @@
 
 A time-optimal profile: full acceleration until full braking stops exactly at the set-point (at
 distance d and speed w for another ``(sqrt(w^2 / 2 + limit d) - w) / limit`` seconds), then full
-braking. Exact over a sub-step.
-
-Residual: rounded ramps. Confused with: command filter; steps of several sizes distinguish them, as
-the duration grows with the square root of the step.
+braking. Exact over a sub-step. Residual: rounded ramps. Confused with: command filter; steps of
+several sizes distinguish them, as the duration grows with the square root of the step.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import LIMITS, Effect, F, Parameter, Row
+from sim2real.effects.effect import LIMITS, Effect, F, Parameter, Row, wp
 
 
 @wp.func
 def brake(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Internal set-point in rad."""
     if z[s + 2] == wp.float64(0.0):
         z[s] = x
         z[s + 2] = wp.float64(1.0)
@@ -38,9 +33,6 @@ def brake(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 EFFECT = Effect(
     plain="an acceleration limit of the set-point",
     says="the servo limits the acceleration of its set-point to {limit_rad_s2}",
-    site="command",
-    term=brake,
+    site="command", term=brake, memory=3, order=1,
     parameters=(Parameter("limit_rad_s2", low=0.6, high=10000.0, typical=60.0, starts=LIMITS),),
-    memory=3,
-    order=1,
-)
+)  # fmt: skip

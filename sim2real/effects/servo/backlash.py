@@ -25,9 +25,7 @@ output, more Coulomb friction by kp gap / 2. Confused with: dead band, Coulomb f
 amplitudes distinguish them.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 from sim2real.effects.elementary import sine
 
 
@@ -77,7 +75,6 @@ def cross(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 @wp.func
 def play(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Measured angle in rad."""
     start(torque, p, c, z, s)
     share = rotor_share(p, c)
     return x - share * z[s] - (wp.float64(1.0) - share) * z[s + 2]
@@ -99,8 +96,8 @@ EFFECT = Effect(
         if p["output_friction_Nm"] > NEGLIGIBLE_NM
         else "the gear train has {gap_rad} of backlash"
     ),
-    site="motor",
-    term=cross,
+    site="motor", term=cross, memory=4, order=1, also=(("sensor", play), ("friction", hold)),
+    steady=True,
     parameters=(
         Parameter("gap_rad", low=0.0, high=0.3, typical=0.03),
         Parameter("rotor_inertia_kgm2", low=4e-5, high=0.02, typical=4e-4, starts=(1.0,)),
@@ -108,8 +105,4 @@ EFFECT = Effect(
         Parameter("control_on_output", low=0.0, high=1.0, typical=1.0, starts=(0.0, 0.5, 1.0)),
         Parameter("restitution", low=0.0, high=0.95, typical=0.5, starts=(0.0,)),
     ),
-    memory=4,
-    order=1,
-    also=(("sensor", play), ("friction", hold)),
-    steady=True,
-)
+)  # fmt: skip

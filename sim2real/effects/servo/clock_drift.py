@@ -1,20 +1,15 @@
 """Clock drift: the clock of the set-points and the clock of the samples have different rates.
 
 A set-point sent ``time`` seconds into the recording takes effect ``s_per_s * time`` later than the
-first one did.
-
-Residual: an error proportional to speed that grows with time. Confused with: supply droop, thermal
-derating, which change a gain and not a delay.
+first one did. Residual: an error proportional to speed that grows with time. Confused with: supply
+droop, thermal derating, which change a gain and not a delay.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 
 
 @wp.func
 def drift(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Time at which a set-point takes effect in s."""
     return x + p[c] * time
 
 
@@ -22,8 +17,6 @@ EFFECT = Effect(
     plain="clock drift",
     says="the delay between set-point and response {s_per_s:grows|shrinks} by {s_per_s} of the "
     "elapsed time, as with clocks that drift apart",
-    site="arrival",
-    term=drift,
+    site="arrival", term=drift, component="link",
     parameters=(Parameter("s_per_s", low=-0.01, high=0.01, typical=0.001),),
-    component="link",
-)
+)  # fmt: skip

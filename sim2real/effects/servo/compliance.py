@@ -23,9 +23,7 @@ Residual: an error proportional to torque, largest where it changes fast. Confus
 filter; a known additional inertia distinguishes them.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 from sim2real.effects.elementary import decay, sine
 
 
@@ -45,7 +43,6 @@ def carried(torque: F, q: F, p: Row, c: int, z: Row, s: int) -> F:
 
 @wp.func
 def soften(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Torque of the motor in N m."""
     load_share = wp.float64(1.0) - wp.min(p[c + 1] / p[3], wp.float64(0.98))
     passive = carried(x, q, p, c, z, s) - load_share * x  # spring's torque without the motor's
     seen = wp.min(wp.float64(2.0) * p[c + 3], wp.float64(1.0))
@@ -62,7 +59,6 @@ def soften(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
 
 @wp.func
 def twist(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Measured angle in rad."""
     load_share = wp.float64(1.0) - wp.min(p[c + 1] / p[3], wp.float64(0.98))
     return x + (load_share - p[c + 2]) * p[c] * carried(torque, q, p, c, z, s)
 
@@ -73,8 +69,7 @@ EFFECT = Effect(
         "motor and load are coupled by a spring with a compliance of {compliance_rad_per_Nm}; "
         + f"the sensor measures the {'load' if p['sensor_on_output'] > 0.5 else 'motor'}"
     ),
-    site="motor",
-    term=soften,
+    site="motor", term=soften, memory=3, also=(("sensor", twist),), steady=True,
     parameters=(
         Parameter("compliance_rad_per_Nm", low=0.0, high=0.15, typical=0.02),
         Parameter("rotor_inertia_kgm2", low=4e-5, high=0.02, typical=4e-4, starts=(1.0,)),
@@ -82,7 +77,4 @@ EFFECT = Effect(
         Parameter("control_on_output", low=0.0, high=1.0, typical=1.0, starts=(0.0,)),
         Parameter("damping_ratio", low=0.005, high=2.0, typical=0.05, starts=(1.0,)),
     ),
-    memory=3,
-    also=(("sensor", twist),),
-    steady=True,
-)
+)  # fmt: skip

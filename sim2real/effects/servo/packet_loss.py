@@ -1,14 +1,10 @@
 """Packet loss: some set-points never arrive; the previous one stays in force.
 
-Each is lost with ``probability``, independently.
-
-Residual: isolated spikes proportional to the change of the set-point. Confused with: latency
-jitter, whose delay is bounded by its width.
+Each is lost with ``probability``, independently. Residual: isolated spikes proportional to the
+change of the set-point. Confused with: latency jitter, whose delay is bounded by its width.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 
 _SEED = wp.constant(33)
 """A separate random stream, independent of other effects."""
@@ -25,10 +21,6 @@ def lose(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: 
 EFFECT = Effect(
     plain="lost set-points",
     says="{probability} of the set-points are lost",
-    site="arrival",
-    term=lose,
+    site="arrival", term=lose, component="link", order=2, fitted=False,
     parameters=(Parameter("probability", low=0.0, high=1.0, typical=0.05),),
-    component="link",
-    order=2,
-    fitted=False,
-)
+)  # fmt: skip

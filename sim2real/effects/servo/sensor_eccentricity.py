@@ -5,14 +5,11 @@ off-axis magnet, the teeth of a gear before the sensor or its interpolation (any
 encoders). ``zero`` and ``slope`` are those of the straight line through the sine over 0.8 rad
 either way, which a calibration removes and which would otherwise be an offset and a gain of the
 sensor. Every sensor has a small eccentricity; it belongs to the plain servo and is no finding.
-
 Residual: a sine of the angle, the same in both directions and at all speeds. Confused with:
 cogging.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 from sim2real.effects.elementary import sine
 
 RANGE_RAD = 0.8
@@ -21,7 +18,6 @@ RANGE_RAD = 0.8
 
 @wp.func
 def wave(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Measured angle in rad."""
     if p[c + 1] == wp.float64(0.0):
         return x
     turn = wp.float64(6.283185307179586) / p[c + 1]
@@ -43,16 +39,10 @@ EFFECT = Effect(
     plain="eccentricity of the angle sensor",
     says="the error of the angle sensor has an amplitude of {amplitude_rad} and "
     "repeats every {period_rad}",
-    site="sensor",
-    term=wave,
+    site="sensor", term=wave, memory=3, order=2, everywhere=True, never_named=True, steady=True,
     parameters=(
         Parameter("amplitude_rad", low=0.0, high=0.03, typical=0.005, starts=(0.002,)),
         Parameter("period_rad", low=0.2, high=7.0, typical=0.5, starts=_PERIODS),
         Parameter("phase_rad", low=-6.3, high=6.3, typical=1.0, starts=_PHASES),
     ),
-    memory=3,
-    order=2,
-    everywhere=True,
-    never_named=True,
-    steady=True,
-)
+)  # fmt: skip

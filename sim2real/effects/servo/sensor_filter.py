@@ -1,20 +1,16 @@
 """Sensor filter: the measured angle is smoothed by a first-order low-pass filter.
 
-``tau y' + y = q``, exact over a sub-step.
-
-Residual: a phase lag that grows with frequency as an arctangent. Confused with: latency and a
-command filter; only a second sensor distinguishes them. Both filters together are told from one.
+``tau y' + y = q``, exact over a sub-step. Residual: a phase lag that grows with frequency as an
+arctangent. Confused with: latency and a command filter; only a second sensor distinguishes them.
+Both filters together are told from one.
 """
 
-import warp as wp
-
-from sim2real.effects.effect import Effect, F, Parameter, Row
+from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 from sim2real.effects.elementary import decay
 
 
 @wp.func
 def smooth(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Measured angle in rad."""
     if z[s + 1] == wp.float64(0.0):
         z[s] = x
         z[s + 1] = wp.float64(1.0)
@@ -28,10 +24,6 @@ def smooth(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
 EFFECT = Effect(
     plain="a filter on the measured angle",
     says="the measured angle is low-pass filtered with a time constant of {time_constant_s}",
-    site="sensor",
-    term=smooth,
+    site="sensor", term=smooth, memory=3, order=4, family="filter",
     parameters=(Parameter("time_constant_s", low=0.0002, high=0.5, typical=0.02),),
-    memory=3,
-    order=4,
-    family="filter",
-)
+)  # fmt: skip
