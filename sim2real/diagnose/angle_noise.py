@@ -13,7 +13,8 @@ import numpy as np
 
 from sim2real.arrays import Array, Mask
 from sim2real.inference.correlated_noise import autoregression, counting, lag_products, whitened
-from sim2real.servo.linearised import Residual, gain_derivatives
+from sim2real.servo.event_filter import Channel
+from sim2real.servo.linearised import Residual, gain_derivatives, servo_modes
 
 _RATIOS = (0.1, 10.0)
 """Smallest and largest noise at rest, relative to that in motion."""
@@ -55,6 +56,17 @@ class Segment:
     def corrected(self, refit: Array) -> Array:
         """Residual after a change of latency, kd and kp by ``refit`` (3,), shape (T,)."""
         return self.residual - self.derivatives @ refit
+
+    def channel(self, noise: Noise) -> Channel:
+        """The recording as an ``EventFilter`` takes it."""
+        of, residual = self.source, self.corrected(noise.refit)
+        scale = np.where(self.counts, np.where(self.rests, noise.ratio, 1.0), 0.0)
+        if of.trace.spread is not None:
+            scale *= of.trace.spread
+        return Channel(
+            of.trace.t, of.trace.command, of.arrival_s, servo_modes(of), residual, scale,
+            self.rests, noise.model, noise.variance,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

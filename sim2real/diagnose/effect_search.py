@@ -30,8 +30,6 @@ from sim2real.servo.parameters import COLUMNS, INERTIA_LEFT_OUT, TRAIN_ROTORS
 
 NAMES = frozenset(e.name for e in NUISANCES)
 _BENT = "sensor_eccentricity"
-_ROTOR = frozenset({UNMODELLED_INERTIA})
-_CALIBRATED = np.linspace(-RANGE_RAD, RANGE_RAD, 161)
 
 
 def search(
@@ -44,16 +42,12 @@ def search(
     again: bool = False,
     progress: Progress = lambda share: None,
 ) -> tuple[list[Tried], ServoSearch]:
-    """Try sets of effects on every joint until none is better, from what was tried before.
+    """What was tried on every joint until no set of effects is better, and what may be asked of it.
 
     ``level`` is the share of joints that miss nothing and may be searched beyond single effects.
     Without ``again`` what is known is a first look at such a batch. With it, it is a whole search
     with another noise model: its nuisances and its most probable sets are tried, and few besides.
-
     Where all joints are compared with references, nothing is searched.
-
-    Returns:
-        What was tried, one a joint, and what may be asked of it further.
     """
     cases = plain_sets(plain_again(batch, known), [x.base for x in known])
     problem = ServoSearch(batch, level, rng, max(joint.effort for joint in joints))
@@ -68,11 +62,10 @@ def search(
         rows += [] if again else [(one.effects, one.theta) for one in joint.stated]
         jobs += [(tried, tried.base | members, theta) for members, theta in rows]
     problem.try_all(jobs)
-    problem.singles = not again
     if not again:
         selection.select(problem, cases, selection.Breadth(most=1), progress)
         try_gear_trains(problem, cases)
-        problem.singles = False
+    problem.singles = False
     breadth = selection.Breadth(added=3, rivals=2) if again else selection.Breadth()
     selection.select(problem, cases, breadth, progress, problem.exhausted)
     if not again:
@@ -106,9 +99,10 @@ def size_in_noise(best: Hypothesis, effect: str, noise_rad: float) -> float:
     size = theta[COLUMNS.index(f"{effect}.{first}")]
     if effect == _BENT:
         period, phase = (theta[COLUMNS.index(f"{effect}.{n}_rad")] for n in ("period", "phase"))
-        wave = np.sin(2 * np.pi * _CALIBRATED / max(period, 1e-9) + phase)
-        line = np.polynomial.Polynomial.fit(_CALIBRATED, wave, 1)
-        size *= float(np.sqrt(2 * np.mean((wave - line(_CALIBRATED)) ** 2)))
+        angles = np.linspace(-RANGE_RAD, RANGE_RAD, 161)
+        wave = np.sin(2 * np.pi * angles / max(period, 1e-9) + phase)
+        line = np.polynomial.Polynomial.fit(angles, wave, 1)
+        size *= float(np.sqrt(2 * np.mean((wave - line(angles)) ** 2)))
     return float(size / (theta[0] if first.endswith("_Nm") else 1.0) / noise_rad)
 
 
@@ -141,10 +135,7 @@ def _waved(
     *,
     starts: int = 2,
 ) -> list[Hypothesis]:
-    """Every set of nuisances added to a hypothesis, from the most probable waves.
-
-    Only nuisances whose gain at first sight is more than ``least_gain``.
-    """
+    """A hypothesis with every set of nuisances that gain more than this at first sight."""
     names = sorted(NAMES - base.members)
     if not names or problem.batch.slow is not None:  # slow errors are noise already
         return []
@@ -197,25 +188,20 @@ def with_nuisances(
     return based
 
 
-def beyond_likely(best: Hypothesis, joint: JointCase) -> float:
-    """Inertia in kg m2 by which a load is stated too small for any likely rotor, or too large.
-
-    The rotor of a gear train counts. Recordings hardly tell how large it is, and a stated load may
-    include it.
-    """
-    first, second = best.fit.servos.theta[0, list(TRAIN_ROTORS)]
-    rotor, room = float(first or second), joint.rotor_room_kgm2
-    beyond = float(best.fit.servos.theta[0, INERTIA_LEFT_OUT]) + rotor
-    return max(beyond - room, -beyond - (room if rotor else 0.0), 0.0)
-
-
 def states_load(best: Hypothesis, joint: JointCase) -> bool:
-    """Whether the load may be stated right, by what a set says of inertia beside it."""
-    servos = best.fit.servos
+    """Whether the load may be stated right, by what a set says of inertia beside it.
+
+    A rotor that the data sheet makes likely may add to it, that of a gear train included: how large
+    it is recordings hardly tell, and a stated load may include it.
+    """
+    servos, room = best.fit.servos, joint.rotor_room_kgm2
+    first, second = servos.theta[0, list(TRAIN_ROTORS)]
+    rotor = float(first or second)
+    left_out = float(servos.theta[0, INERTIA_LEFT_OUT]) + rotor
+    beyond = max(left_out - room, -left_out - (room if rotor else 0.0), 0.0)
     place = servos.columns[0] == INERTIA_LEFT_OUT
     sd = float(np.sum(np.sqrt(best.fit.variances[place]) * servos.unit[0, place]))
-    small = DECISION.inertia_tolerance * joint.traces[0].load.inertia_kgm2
-    return beyond_likely(best, joint) - Z90 * sd < small
+    return beyond - Z90 * sd < DECISION.inertia_tolerance * joint.traces[0].load.inertia_kgm2
 
 
 def with_rotors(
@@ -228,12 +214,12 @@ def with_rotors(
     """
     based = list(cases)
     for k, (tried, joint) in enumerate(zip(cases, joints, strict=True)):
-        if joint.rotor_room_kgm2 == 0 or tried.base >= _ROTOR:
+        if joint.rotor_room_kgm2 == 0 or UNMODELLED_INERTIA in tried.base:
             continue
-        turning = Tried(tried.case, tried.base | _ROTOR)
+        turning = Tried(tried.case, tried.base | {UNMODELLED_INERTIA})
         others = tried.plain.evidence + DECISION.nuisance_min_evidence
         for h in tried.tried.values():
-            if h.members >= _ROTOR and states_load(h, joint):
+            if UNMODELLED_INERTIA in h.members and states_load(h, joint):
                 turning.keep(replace(h, evidence=h.evidence - LOG_PRIOR))
             else:
                 others = max(others, h.evidence)
@@ -255,13 +241,10 @@ def with_rivals(
     rivals: int = 8,
     promise: float = 2.0,
 ) -> list[Tried]:
-    """Try small nuisances with the most probable sets of each joint as well.
+    """Those joints in which, with small nuisances tried too, other effects are most probable now.
 
     One that was not seen with the first explanation speaks for what happens to be shaped like it.
     A fit may make ``promise`` times the gain at first sight.
-
-    Returns:
-        Those in which other effects are most probable now.
     """
     changed = []
     for tried, joint in zip(cases, joints, strict=True):
@@ -269,10 +252,8 @@ def with_rivals(
         near = sorted(tried.tried.values(), key=lambda h: -h.evidence)[:rivals]
         for h in near:
             behind = before.evidence - h.evidence
-            if behind >= problem.limits.near:
-                continue
             worth = max(behind / promise, DECISION.nuisance_min_evidence)
-            found = _waved(problem, tried, h, worth)
+            found = _waved(problem, tried, h, worth) if behind < problem.near else []
             if not found:
                 continue
             tried.keep(_best(h, found, large))

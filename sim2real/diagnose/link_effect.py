@@ -1,26 +1,20 @@
-"""Do set-points arrive at irregular times, or not at all? The more probable effect, or both.
-
-They are tested against the noise of ``angle_noise``.
-"""
+"""Do set-points arrive at irregular times, or not at all? Tested against ``angle_noise``."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import TypeVar
 
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.diagnose.angle_noise import Noise, NoisyJoint, Segment, with_noise
+from sim2real.diagnose.angle_noise import Noise, NoisyJoint, with_noise
 from sim2real.diagnose.decision import DECISION
 from sim2real.inference.correlated_noise import whitened
 from sim2real.inference.normal import SD_PER_MEDIAN
-from sim2real.servo.event_filter import Arrivals, Channel, EventFilter, Filtered
-from sim2real.servo.linearised import Residual, servo_modes
-
-T = TypeVar("T")
+from sim2real.servo.event_filter import Arrivals, EventFilter, Filtered
+from sim2real.servo.linearised import Residual
 
 MOST_LAGS = 6
 """Largest order of the autoregression of the noise."""
@@ -29,10 +23,6 @@ _HALFWIDTHS_S = np.geomspace(2.5e-4, 0.1, 10)
 """Halfwidths of the delays from which the search for jitter starts."""
 _CORRELATION_STEPS = np.array([-0.2, -0.1, 0.0, 0.1, 0.2])
 """Steps by which the correlation of successive delays is refined."""
-_FIRST_LOSS = Arrivals(0.02, 0.1)
-"""Losses from which the search for them starts."""
-_STEP = 0.1
-"""Relative step by which a curvature is measured."""
 
 
 @dataclass(frozen=True)
@@ -71,17 +61,13 @@ def link_of(
     """The better of the two effects on one robot's link; ``gain`` 0 below what is ``noticed``.
 
     With ``both`` the other one is added where it gains as much as is ``noticed`` again, and more
-    than the law of the first one may leave, a share ``law_error`` of its gain.
-
-    ``residuals`` are those of each joint's recordings, ``lags`` and ``least_gain`` as of their
-    ``with_noise``.
+    than the law of the first one may leave, a share ``law_error`` of its gain. ``residuals`` are
+    those of each joint's recordings, ``lags`` and ``least_gain`` as of ``with_noise``.
     """
     joints = [with_noise(of_joint, min(lags, MOST_LAGS), least_gain) for of_joint in residuals]
     samples = sum(joint.count for joint in joints)
-    negligible = DECISION.link.negligible_gain * samples if noticed else 0.0
-    fits = [fit for effect in EFFECTS for fit in fitted(joints, effect)]
-    best = max(fits, key=lambda fit: fit.gain)
-    least = max(noticed, negligible)
+    least = max(noticed, DECISION.link.negligible_gain * samples) if noticed else 0.0
+    best = max((x for effect in EFFECTS for x in fitted(joints, effect)), key=lambda fit: fit.gain)
     if best.gain < least:
         return IrregularTiming({best.effects[0]: (0.0, np.inf)}, shares=(0.0,) * len(joints))
     if noticed and both:
@@ -130,9 +116,7 @@ class LinkFit:
         self.gain = 0.0
         self.arrivals: Arrivals = Arrivals() if begun is None else begun.arrivals
         if "packet_loss" in effects and not self.arrivals.loss:
-            self.arrivals = replace(
-                self.arrivals, loss=_FIRST_LOSS.loss, repeated_loss=_FIRST_LOSS.repeated_loss
-            )
+            self.arrivals = replace(self.arrivals, loss=0.02, repeated_loss=0.1)
         self.noise_models = [joint.noise for joint in joints]
         # The filter's log-likelihood counts the squares, that of the noise alone does not.
         alone = sum(joint.refitted(joint.noise)[1] - 0.5 * joint.count for joint in joints)
@@ -140,14 +124,11 @@ class LinkFit:
         if begun is not None:
             starts = [begun.noise_models]
         # Noise that is guessed from most samples is too small until it is fitted again.
-        guesses = [
-            self._climb(models, *self._alternated(models, self.arrivals), steps=2)
-            for models in starts
-        ]
+        guesses = [self._climb(models, self.arrivals, steps=2) for models in starts]
         total, arrivals, models = max(guesses, key=lambda guess: guess[0])
         if total < alone:
             return
-        total, arrivals, models = self._climb(models, *self._alternated(models, arrivals), steps=6)
+        total, arrivals, models = self._climb(models, arrivals, steps=6)
         if total > alone:
             self.gain, self.arrivals, self.noise_models = total - alone, arrivals, models
 
@@ -160,43 +141,27 @@ class LinkFit:
         return max(pairs, key=lambda pair: pair.gain)
 
     def _climb(
-        self,
-        models: list[Noise],
-        events: EventFilter,
-        arrivals: Arrivals,
-        results: list[Filtered],
-        steps: int,
+        self, models: list[Noise], arrivals: Arrivals, *, steps: int
     ) -> tuple[float, Arrivals, list[Noise]]:
         """The best log-likelihood, arrivals and noise models of a few alternations."""
         best: tuple[float, Arrivals, list[Noise]] = (-np.inf, arrivals, models)
         for step in range(steps):
-            if step:
-                models = self._renewed(models, events, arrivals, results)
-                events, arrivals, results = self._alternated(models, arrivals)
+            events, results = self._filter(models), list[Filtered]()
+            if "packet_loss" in self.effects:
+                arrivals, results = self._losses(events, arrivals)
+            if "latency_jitter" in self.effects:
+                arrivals, results = self._delays(events, arrivals)
             gained = _total(results) - best[0]
             if gained > 0:
                 best = (_total(results), arrivals, models)
-            if gained < DECISION.link.min_gain:
+            if gained < DECISION.link.min_gain or step + 1 == steps:
                 break
+            models = self._renewed(models, events, arrivals, results)
         return best
 
-    def _alternated(
-        self, models: Sequence[Noise], arrivals: Arrivals
-    ) -> tuple[EventFilter, Arrivals, list[Filtered]]:
-        """The filter with these noise models, and the most likely arrivals under it."""
-        events = self._filter(models)
-        results: list[Filtered] = []
-        if "packet_loss" in self.effects:
-            arrivals, results = self._losses(events, arrivals)
-        if "latency_jitter" in self.effects:
-            arrivals, results = self._delays(events, arrivals)
-        return events, arrivals, results
-
     def _filter(self, noise_models: Sequence[Noise]) -> EventFilter:
-        channels = [
-            [channel_of(segment, noise) for segment in joint.segments]
-            for joint, noise in zip(self.joints, noise_models, strict=True)
-        ]
+        pairs = zip(self.joints, noise_models, strict=True)
+        channels = [[x.channel(noise) for x in joint.segments] for joint, noise in pairs]
         if self.common:
             return EventFilter(list(zip(*channels, strict=True)))
         return EventFilter([[channel] for of_joint in channels for channel in of_joint])
@@ -237,20 +202,14 @@ class LinkFit:
         others = best_of(np.array([middle[0].delay_sd_s]), np.array([0.0, 0.8]))
         return max(middle, others, key=lambda pair: _total(pair[1]))
 
-    def _by_joint(self, values: Sequence[T]) -> list[list[T]]:
-        """Values of the filter's channels, by joint and recording."""
-        if self.common:
-            return [list(values[j :: len(self.joints)]) for j in range(len(self.joints))]
-        remaining = iter(values)
-        return [list(islice(remaining, len(joint.segments))) for joint in self.joints]
-
     def _explained(
         self, events: EventFilter, arrivals: Arrivals, results: Sequence[Filtered]
     ) -> list[tuple[NoisyJoint, Array]]:
         """The joints without the expected deviations, and the covariances of these."""
         deviations = events.expected([x.active for x in results], arrivals)
-        out = []
-        for joint, some in zip(self.joints, self._by_joint(deviations), strict=True):
+        J, taken, out = len(self.joints), iter(deviations), []
+        for j, joint in enumerate(self.joints):
+            some = deviations[j::J] if self.common else list(islice(taken, len(joint.segments)))
             segments = tuple(
                 replace(s, residual=np.where(s.source.trace.used, s.residual - x.mean, 0.0))
                 for s, x in zip(joint.segments, some, strict=True)
@@ -282,17 +241,18 @@ class LinkFit:
         arrivals, events = self.arrivals, self._filter(self.noise_models)
         (results,) = events.run([arrivals])
         explained = self._explained(events, arrivals, results)
-        of_joints = [results] * len(self.joints) if self.common else self._by_joint(results)
-        lost_s = tuple(
-            tuple(
-                segment.source.trace.t[np.setdiff1d(np.arange(x.active.size), x.active)]
-                for segment, x in zip(joint.segments, of_joint, strict=True)
+        taken, lost_s = iter(results), []
+        for joint in self.joints:
+            some = results if self.common else islice(taken, len(joint.segments))
+            lost_s.append(
+                tuple(
+                    s.source.trace.t[np.setdiff1d(np.arange(x.active.size), x.active)]
+                    for s, x in zip(joint.segments, some, strict=True)
+                )
             )
-            for joint, of_joint in zip(self.joints, of_joints, strict=True)
-        )
-        first = self.effects[0]
-        single = len(self.joints) == 1
-        shares = [self] if single else [fitted([joint], first)[0] for joint in self.joints]
+        shares = [self]
+        if len(self.joints) > 1:
+            shares = [LinkFit([x], self.effects[:1], common=False) for x in self.joints]
         return IrregularTiming(
             {effect: self._size(events, effect, results) for effect in self.effects},
             self.gain,
@@ -300,7 +260,7 @@ class LinkFit:
             self.common,
             1 / (1 - arrivals.repeated_loss),
             arrivals.correlation,
-            lost_s,
+            tuple(lost_s),
             tuple(
                 tuple(s.corrected(noise.refit) for s in joint.segments)
                 for (joint, _), noise in zip(explained, self.noise_models, strict=True)
@@ -308,16 +268,16 @@ class LinkFit:
         )
 
     def _size(
-        self, events: EventFilter, effect: str, results: Sequence[Filtered]
+        self, events: EventFilter, effect: str, results: Sequence[Filtered], *, step: float = 0.1
     ) -> tuple[float, float]:
-        """An effect's parameter, and its standard deviation."""
+        """An effect's parameter, and its standard deviation from relative steps of this size."""
         arrivals = self.arrivals
         jitter = effect == "latency_jitter"
         name = "delay_sd_s" if jitter else "loss"
-        factors = np.exp(_STEP * np.array([-1.0, 0.0, 1.0]))
+        factors = np.exp(step * np.array([-1.0, 0.0, 1.0]))
         options = [replace(arrivals, **{name: float(getattr(arrivals, name) * x)}) for x in factors]
         below, here, above = map(_total, events.run(options))
-        curvature = (2 * here - below - above) / _STEP**2
+        curvature = (2 * here - below - above) / step**2
         if curvature <= 0 and not jitter:  # as if it were known which set-points were lost
             curvature = sum(float(x.counts[1] + x.counts[3]) for x in results)
         value = float(arrivals.delay_sd_s * np.sqrt(3) if jitter else arrivals.long_run_loss)
@@ -347,15 +307,3 @@ def _white(joint: NoisyJoint) -> Noise:
     sd = SD_PER_MEDIAN * float(np.median(np.abs(third))) / np.sqrt(20)  # 1 + 9 + 9 + 1
     variance = joint.variance(joint.count * sd**2)
     return Noise(np.zeros_like(joint.noise.model), 1.0, variance, np.zeros(3))
-
-
-def channel_of(segment: Segment, noise: Noise) -> Channel:
-    """A recording of a joint as the filter takes it."""
-    of, residual = segment.source, segment.corrected(noise.refit)
-    scale = np.where(segment.counts, np.where(segment.rests, noise.ratio, 1.0), 0.0)
-    if of.trace.spread is not None:
-        scale *= of.trace.spread
-    return Channel(
-        of.trace.t, of.trace.command, of.arrival_s, servo_modes(of), residual, scale, segment.rests,
-        noise.model, noise.variance,
-    )  # fmt: skip

@@ -15,9 +15,9 @@ from sim2real.diagnose.contrast import Changes, noise_of
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.effect_probabilities import EffectPosterior, Group
 from sim2real.diagnose.explained import way_of
-from sim2real.diagnose.free_parameters import with_effects
 from sim2real.diagnose.investigate import ROUNDING, Finding, investigate
 from sim2real.diagnose.result import Experiment
+from sim2real.diagnose.screening import with_effects
 from sim2real.diagnose.servo_search import BLOCKS, ServoSearch, plain_sets
 from sim2real.diagnose.unmodelled import unmodelled
 from sim2real.effects import named

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from sim2real.arrays import Array, Index, Mask
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
-from sim2real.diagnose.free_parameters import (
+from sim2real.diagnose.screening import (
     BRANCH_COLUMNS,
-    BRANCHES,
     SIDE_COLUMNS,
+    Candidate,
+    Screen,
     as_read,
+    candidates,
     own_parameters,
+    screen,
     with_effects,
 )
-from sim2real.diagnose.screening import Candidate, Screen, candidates, screen
 from sim2real.effects import named
 from sim2real.identification.servo_problem import (
     Fits,
@@ -34,13 +36,7 @@ from sim2real.inference.evidence import occam_factor
 from sim2real.inference.parameters import kronecker
 from sim2real.model import JointModel
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.parameters import (
-    BASE,
-    COLUMNS,
-    FIRST_COLUMN,
-    TRAINS,
-    joint_row,
-)
+from sim2real.servo.parameters import BASE, COLUMNS, FIRST_COLUMN, TRAINS, joint_row
 
 Job = tuple[Tried, Set, Array]
 """What was tried on a joint, the set of effects to refit, and the parameters to start from."""
@@ -53,32 +49,27 @@ BLOCKS = 20
 """Blocks of each recording for bootstraps."""
 
 
-@dataclass(frozen=True)
-class SearchLimits:
-    """How far the search for effects goes; gains and evidence are in nats."""
-
-    rivals: int = 10  # sets that are refitted with nothing fixed
-    near: float = 80.0  # how far the evidence of such a set may be behind the best
-    hopeless_gain: float = 1.0  # at first sight, below which the best start is not followed
-    least_visible: float = 3.0  # score of an effect, were it there, from which it would be seen
-    promise: float = 6.0  # times the gain that a fit's quadratic model promises
-    effort: float = 1.0  # multiple of the budget ``DECISION.search_substeps``
-
-
 class ServoSearch:
     """What the search asks of the servos of a batch: see ``selection.Problem``.
+
+    ``effort`` multiplies the budget ``DECISION.search_substeps``.
 
     Attributes:
         fixed: By case, effects whose parameters stay as they are until ``release``.
         singles: Whether every effect by itself is still to be tried.
-        unfinished: Cases whose search was ended by its budget, ``DECISION.search_substeps``.
+        unfinished: Cases whose search was ended by its budget.
     """
+
+    rivals = 10  # sets that are refitted with nothing fixed
+    near = 80.0  # nats by which the evidence of such a set may be behind the best
+    hopeless_gain = 1.0  # nats at first sight, below which the best start is not followed
+    least_visible = 3.0  # score of an effect, were it there, from which it would be seen
+    promise = 6.0  # times the gain that a fit's quadratic model promises
 
     def __init__(
         self, batch: Batch, level: float, rng: np.random.Generator, effort: float = 1.0
     ) -> None:
-        self.batch, self.level, self.rng = batch, level, rng
-        self.limits = SearchLimits(effort=effort)
+        self.batch, self.level, self.rng, self.effort = batch, level, rng, effort
         self.fixed: dict[int, Set] = {}
         self.singles = True
         self.unfinished: set[int] = set()
@@ -101,18 +92,11 @@ class ServoSearch:
         Readings that are sampled slowly are those of the last poll, whose age slips by up to a
         period and jumps back: no drift of a clock is told from that.
         """
-        new = {
-            (tried.case, s): (tried, s)
-            for tried, s in pairs
-            if (tried.case, s) not in self._screens
-        }
-        polled = self.batch.period > DECISION.change.slow_sampling_s
+        pairs = [pair for pair in pairs if (pair[0].case, pair[1]) not in self._screens]
+        new = {(tried.case, members): (tried, members) for tried, members in pairs}
+        unknown = {_DRIFT} if self.batch.period > DECISION.change.slow_sampling_s else set[str]()
         lists = [
-            [
-                one
-                for one in candidates(s, *self.strength(tried))
-                if not (polled and one.effect.name == _DRIFT)
-            ]
+            [x for x in candidates(s, *self.strength(tried)) if x.effect.name not in unknown]
             for tried, s in new.values()
         ]
         screens = self.screened([(tried, tried.tried[s]) for tried, s in new.values()], lists)
@@ -148,11 +132,11 @@ class ServoSearch:
         for k, option in enumerate(options):
             mine = np.flatnonzero(seen.candidate == k)
             best = int(mine[seen.gain[mine].argmax()])
-            visible = mine[seen.visible[mine] > self.limits.least_visible]
-            if most is not None or seen.gain[best] > self.limits.hopeless_gain:
+            visible = mine[seen.visible[mine] > self.least_visible]
+            if most is not None or seen.gain[best] > self.hopeless_gain:
                 starts.append(best)
             if most is None:  # branches of an effect's law: fits of their own
-                branch = option.branches(BRANCHES, seen.start[mine])
+                branch = option.branches(seen.start[mine])
                 others = mine[(branch != branch[mine == best]).any(axis=1)]
                 starts += [int(others[seen.gain[others].argmax()])] if others.size else []
             if weakest and visible.size and not option.effect.everywhere:
@@ -179,16 +163,11 @@ class ServoSearch:
         """
         if not jobs:
             return []
-        servos = [
-            with_effects(
-                tried.plain.fit.servos,
-                members,
-                as_read(theta, members),
-                self.strength(tried)[1],
-                frozenset() if free else self.fixed.get(tried.case, frozenset()),
-            )
-            for tried, members, theta in jobs
-        ]
+        servos = []
+        for tried, members, theta in jobs:
+            plain, inertia = tried.plain.fit.servos, self.strength(tried)[1]
+            fixed: Set = frozenset() if free else self.fixed.get(tried.case, frozenset())
+            servos.append(with_effects(plain, members, as_read(theta, members), inertia, fixed))
         rough = minimise(self.batch, stacked(servos), iterations=5, blocks=BLOCKS)
         of = [
             (x.case, s, (*(row[BRANCH_COLUMNS] > 0), *row[SIDE_COLUMNS], row[_GAP]))
@@ -202,14 +181,12 @@ class ServoSearch:
         top = {tried.case: float(tried.best.fit.loglikelihood[0]) for tried, _, _ in jobs}
         for (case, *_), fit in zip(sets, fits, strict=True):
             top[case] = max(top[case], float(fit.loglikelihood[0]))
-        goals = np.array(
-            [-np.inf if _GAIN in s else top[case] - self.limits.near for case, s, _ in sets]
-        )
-        reach = np.array([x.loglikelihood[0] + self.limits.promise * _promised(x) for x in fits])
+        goals = np.array([-np.inf if _GAIN in s else top[case] - self.near for case, s, _ in sets])
+        reach = np.array([x.loglikelihood[0] + self.promise * _promised(x) for x in fits])
         left = np.flatnonzero(~rough.converged[first] & (reach > goals))
 
         def hopeless(places: Index, _: Array, losses: Array, promised: Array) -> Mask:
-            reachable = self.limits.promise * promised - losses[places]
+            reachable = self.promise * promised - losses[places]
             return np.asarray(reachable < goals[left][places])
 
         if left.size:
@@ -239,8 +216,8 @@ class ServoSearch:
     def compared(self, tried: Tried) -> list[Hypothesis]:
         """The sets that are compared: the best, the best without each effect, its rivals."""
         best = tried.best
-        scaled, least = _GAIN in best.members, best.evidence - self.limits.near
-        near = sorted(tried.tried.values(), key=lambda h: -h.evidence)[: self.limits.rivals]
+        scaled, least = _GAIN in best.members, best.evidence - self.near
+        near = sorted(tried.tried.values(), key=lambda h: -h.evidence)[: self.rivals]
         sets = [h.members for h in near if h.evidence > least or (_GAIN in h.members) != scaled]
         sets += [tried.base, *(best.members - {e} for e in best.members - tried.base)]
         return [tried.tried[s] for s in dict.fromkeys(sets) if s in tried.tried]
@@ -270,7 +247,7 @@ class ServoSearch:
         The budget is counted in sub-steps of rollouts, so that no answer depends on the machine.
         """
         spent = self.batch.substeps[tried.case] - self.spent_before[tried.case]
-        if spent > self.limits.effort * DECISION.search_substeps:
+        if spent > self.effort * DECISION.search_substeps:
             self.unfinished.add(tried.case)
         return tried.case in self.unfinished
 

@@ -10,10 +10,9 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
-from sim2real.diagnose.free_parameters import with_effects
 from sim2real.diagnose.gear_trains import of_inertia
 from sim2real.diagnose.rival_sets import StatedSet
-from sim2real.diagnose.screening import NUISANCES
+from sim2real.diagnose.screening import NUISANCES, with_effects
 from sim2real.diagnose.servo_search import BLOCKS, ServoSearch, evidence_of
 from sim2real.effects import named
 from sim2real.identification.problem import ServoProblem

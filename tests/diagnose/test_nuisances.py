@@ -11,7 +11,7 @@ from simulated import INERTIA, KD, KP, LATENCY, NOISE, SHEET, robot, row, traced
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.diagnose import _first_look, diagnose
 from sim2real.diagnose.effect_search import _best, first_look, size_in_noise, with_nuisances
-from sim2real.diagnose.free_parameters import as_read
+from sim2real.diagnose.screening import as_read
 from sim2real.diagnose.servo_search import ServoSearch, baselines, plain_sets
 from sim2real.effects import named
 from sim2real.identification.priors import largest_rotor
