@@ -13,10 +13,7 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.rival_sets import StatedSet, stated_sets
 from sim2real.errors import InputError
 from sim2real.identification.priors import largest_rotor
-from sim2real.identification.reading_noise import (
-    rest_noise,
-    with_reading_noise,
-)
+from sim2real.identification.reading_noise import rest_noise, with_reading_noise
 from sim2real.identification.servo_problem import Hypothesis, Set, residual_angles, variants
 from sim2real.inference.correlated_noise import SlowErrors
 from sim2real.model import JointModel, Model
@@ -129,10 +126,7 @@ def prepared(case: Case) -> list[JointCase]:
 
 
 def batch_of(
-    joints: Sequence[JointCase],
-    *,
-    period: float | None = None,
-    bounded: bool = True,
+    joints: Sequence[JointCase], *, period: float | None = None, bounded: bool = True
 ) -> Batch:
     """The recordings of joints, ready for problems; ``bounded`` as of ``Batch``.
 

@@ -36,9 +36,9 @@ def search(
     batch: Batch,
     joints: Sequence[JointCase],
     known: Sequence[Tried],
-    *,
     level: float,
     rng: np.random.Generator,
+    *,
     again: bool = False,
     progress: Progress = lambda share: None,
 ) -> tuple[list[Tried], ServoSearch]:

@@ -51,7 +51,6 @@ _DRY = "coulomb_friction"
 _PRESLIDING = [
     COLUMNS.index(f"presliding_friction.{x}") for x in ("torque_Nm", "stiffness_Nm_per_rad")
 ]
-
 _TIMED = [0, 1, 2, COLUMNS.index("clock_drift.s_per_s")]
 
 
@@ -125,10 +124,9 @@ def investigate(
     rng: np.random.Generator,
     progress: Progress = lambda share: None,
 ) -> tuple[list[JointCase], list[Finding]]:
-    """Find what each joint of a robot is missing; ``known`` is what a first look tried.
+    """The joints of a robot, their recordings as they were aligned, and what each is missing.
 
-    Returns:
-        The joints, their recordings as they were aligned, and the findings.
+    ``known`` is what a first look tried.
     """
     joints = list(joints)
     findings = _findings(batch, joints, known, rng, lambda share: progress(0.6 * share))
@@ -172,9 +170,7 @@ def _findings(
 ) -> list[Finding]:
     """The findings with the noise model of a batch, from what was tried before (``search``)."""
     level = DECISION.false_alarms / len(joints)
-    cases, problem = search(
-        batch, joints, known, level=level, rng=rng, again=again, progress=progress
-    )
+    cases, problem = search(batch, joints, known, level, rng, again=again, progress=progress)
     data = [joint.traces for joint in joints]
     _, excesses = beyond_noise(batch, data, joined([tried.best.fit for tried in cases]))
     structured = [
@@ -188,21 +184,16 @@ def _findings(
     cases = with_rotors(problem, cases, joints)
     probable = posteriors(cases, rng)
     best = [tried.tried[p.sets[0]] for tried, p in zip(cases, probable, strict=True)]
-    problem.try_all(
-        [
-            (tried, h.members - {effect}, h.fit.servos.theta[0])
-            for tried, h in zip(cases, best, strict=True)
-            for effect in h.members - tried.base
-            if h.members - {effect} not in tried.tried
-        ],
-        free=True,
-    )
+    fewer = [
+        (tried, h.members - {effect}, h.fit.servos.theta[0])
+        for tried, h in zip(cases, best, strict=True)
+        for effect in h.members - tried.base
+        if h.members - {effect} not in tried.tried
+    ]
+    problem.try_all(fewer, free=True)
     without = unmodelled(batch, data, joined([tried.plain.fit for tried in cases]))
     left, excesses = beyond_noise(batch, data, joined([h.fit for h in best]))
-    rattling = [
-        None if "backlash" in h.members else one
-        for one, h in zip(rattles(data, left), best, strict=True)
-    ]
+    rattling = rattles(data, left)
     return [
         Finding(
             tried=tried,
@@ -217,7 +208,7 @@ def _findings(
             unknown=0.0,
             excess=excesses[j],
             noise=joint.noise,
-            rattle=rattling[j],
+            rattle=None if "backlash" in best[j].members else rattling[j],
         )
         for j, (joint, tried) in enumerate(zip(joints, cases, strict=True))
     ]
@@ -291,24 +282,23 @@ def _with_link(
             link = link_with([servo if i == j else other for i, other in enumerate(best)])
         sizes = {e: size for e, size in link.sizes.items() if e == link.effect or e in sure}
         link = replace(link, sizes=sizes)
-        short = link.sizes.get("latency_jitter", (np.inf, 0.0))[0] < longest_jitter_s
-        if link.gain <= 0 or not (short or np.isinf(longest_jitter_s)):
+        if link.gain <= 0 or link.sizes.get("latency_jitter", (np.inf,))[0] > longest_jitter_s:
             continue
         noise = float(np.sqrt(best[j].fit.error2[0] / best[j].fit.count[0]))
         remaining = excess(link.unexplained[k], joints[j].traces, batch, noise)
         remaining = min(remaining, finding.excess)
         unexplained = remaining > DECISION.structured_excess
         kept = servo.members | {ROUNDING}
-        groups = tuple(g for g in finding.groups if not kept.isdisjoint(g.members))
+        groups = [g for g in finding.groups if not kept.isdisjoint(g.members)]
+        mismatch = not lacks_rows or unexplained or bool(groups)
+        groups += [Group((e,), DECISION.most_certain) for e in link.sizes if not lacks_rows]
         explained[j] = replace(
             finding,
-            mismatch=not lacks_rows or unexplained or bool(groups),
+            mismatch=mismatch,
             unexplained=unexplained,
             excess=remaining,
             best=servo,
-            groups=groups
-            if lacks_rows
-            else (*groups, *(Group((effect,), DECISION.most_certain) for effect in link.sizes)),
+            groups=tuple(groups),
             link=None if lacks_rows else link,
             place=k,
         )
@@ -349,11 +339,9 @@ def _link(
     Their noise is as free as in the search for effects.
     """
     fits = [servos[j].fit.of_joints([j]) for j in some]
-    left = [
-        [
-            Residual(t, residual[: t.t.size], *fit.servos.theta[0, _TIMED].tolist())
-            for t, residual in zip(joints[j].traces, of_joint, strict=False)
-        ]
-        for j, fit, of_joint in zip(some, fits, residual_angles(batch, joined(fits)), strict=True)
-    ]
+    left = []
+    for j, fit, of_joint in zip(some, fits, residual_angles(batch, joined(fits)), strict=True):
+        row = fit.servos.theta[0, _TIMED].tolist()
+        pairs = zip(joints[j].traces, of_joint, strict=False)
+        left.append([Residual(t, residual[: t.t.size], *row) for t, residual in pairs])
     return link_of(left, batch.lags, least_gain, DECISION.decisive_gain, both=both)

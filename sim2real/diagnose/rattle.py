@@ -24,7 +24,6 @@ GAP_SHARES = 0.035, 0.2
 """Standard deviation of a rattle over the gap, of 16 simulated gear trains at rest.
 
 With friction or a weight that holds the output, or with well damped flanks, none rattles."""
-_FEWEST_BANDS = 6
 
 
 @dataclass(frozen=True)
@@ -50,24 +49,17 @@ def rattles(joints: Sequence[Sequence[Trace]], residuals: Array) -> list[Rattle 
 
     What several joints have at one frequency is a vibration of the bench.
     """
-    found = [
-        rattle(
-            [t.t for t in traces], [r[: t.t.size] for t, r in zip(traces, of_joint, strict=False)]
-        )
-        for traces, of_joint in zip(joints, residuals, strict=True)
-    ]
-    alone: list[Rattle | None] = []
-    for one in found:
-        same = [x for x in found if one and x and abs(x.frequency_Hz - one.frequency_Hz) <= BAND_HZ]
-        alone.append(one if len(same) == 1 else None)
-    return alone
+    found = []
+    for traces, of_joint in zip(joints, residuals, strict=True):
+        pairs = zip(traces, of_joint, strict=False)
+        found.append(rattle([t.t for t in traces], [r[: t.t.size] for t, r in pairs]))
+    at = np.array([one.frequency_Hz if one else np.nan for one in found])
+    alone = (np.abs(at[:, None] - at) <= BAND_HZ).sum(axis=1) == 1
+    return [one if single else None for one, single in zip(found, alone, strict=True)]
 
 
 def rattle(
-    times: Sequence[Array],
-    residuals: Sequence[Array],
-    *,
-    least: float = DECISION.report.rattle_ratio,
+    times: Sequence[Array], residuals: Sequence[Array], least: float = DECISION.report.rattle_ratio
 ) -> Rattle | None:
     """The peak in the spectra of a joint's residuals in rad at times in s, None without one.
 
@@ -77,7 +69,7 @@ def rattle(
     """
     spectra = [_bands(t, e) for t, e in zip(times, residuals, strict=True)]
     count = min((s.size for s in spectra), default=0)
-    if count < _FEWEST_BANDS:
+    if count < 6:
         return None
     power = np.mean([s[:count] for s in spectra], axis=0)
     floor, top = float(np.median(power)), int(power.argmax())

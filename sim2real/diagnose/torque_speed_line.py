@@ -34,24 +34,24 @@ from sim2real.servo.parameters import COLUMNS, stated
 from sim2real.servo.trace import Trace
 
 _SET_POINT_SPEED = COLUMNS.index("rate_limit.limit_rad_s")
-_LARGER = np.linspace(1.0, 2.0, 26)
-_ROTORS = 0.05, 0.2, 0.4
-"""Inertia of rotors over that of the load to start from, where torques may show it."""
-_RIVALS = 6
-"""Further effects with which a limit of the motor competes."""
 
 
 def with_limits(
-    search: ServoSearch, joints: Sequence[JointCase], tried: Sequence[Tried]
+    search: ServoSearch,
+    joints: Sequence[JointCase],
+    tried: Sequence[Tried],
+    *,
+    rotors: Sequence[float] = (0.05, 0.2, 0.4),
+    rivals: int = 6,
 ) -> dict[int, JointCase]:
     """Joints that reach their motor's limit, with a plain model that has it.
 
     The limit is a line of torque and speed, or flat: the data sheet's torque at any speed. A line
-    may have a lower limit of current as well: an effect, tried by the search. The limit competes
-    with the effects of the catalogue: it joins what explains each joint best at first sight, or
-    stands in for one of its effects, and is there where no further effect explains more. Where slow
-    errors are part of the noise it is an effect like others, found by the search: little of what
-    tells it from a limited set-point shows at first sight.
+    may have a lower limit of current as well: an effect, tried by the search, with ``rotors`` of
+    these shares of the load's inertia, as torques may show it. The limit joins what explains each
+    joint best at first sight, or stands in for one of its effects, and is there where none of
+    ``rivals`` further effects explains more. Where slow errors are part of the noise it is an
+    effect like others: little of what tells it from a limited set-point shows at first sight.
     """
     limited: dict[int, JointCase] = {}
     for joint, known in zip(joints, tried, strict=True):
@@ -62,7 +62,7 @@ def with_limits(
         limit = _better_limit(search, joint, known)
         if limit is not None and known.best.members != known.base:
             best = known.best
-            further = search.additions(known, best.members, _RIVALS)
+            further = search.additions(known, best.members, rivals)
             search.try_all([(known, best.members | {name}, start) for name, start in further])
             limit = limit if known.best is best else _better_limit(search, joint, known)
         if limit is None:
@@ -71,7 +71,7 @@ def with_limits(
         theta, also = limit.fit.servos.theta[0].copy(), joint.stated
         if theta[LINE_COLUMNS].any() and SATURATION in limit.members:
             found = limit.members - {e.name for e in NUISANCES}
-            rows = [of_inertia(theta, joint.traces[0].load.inertia_kgm2, x) for x in _ROTORS]
+            rows = [of_inertia(theta, joint.traces[0].load.inertia_kgm2, x) for x in rotors]
             sets = [StatedSet(found | {UNMODELLED_INERTIA}, row) for row in rows]
             also = (*also, StatedSet(found, theta.copy()), *sets)
             theta[FLAT_COLUMNS] = 0.0
@@ -86,11 +86,8 @@ def _better_limit(search: ServoSearch, joint: JointCase, tried: Tried) -> Hypoth
     """The best limit with the best set of effects, or in place of one of them, if it is better."""
     best = tried.best
     alike = [e for e in best.members - tried.base if named(e).site in ("command", "motor")]
-    limits = [
-        limit
-        for members in (best.members, *(best.members - {e} for e in alike))
-        for limit in _limits(search, joint, tried, members)
-    ]
+    sets = [best.members, *(best.members - {e} for e in alike)]
+    limits = [limit for members in sets for limit in _limits(search, joint, tried, members)]
     limit = max(limits, key=lambda one: one.evidence)
     without = tried.tried.get(limit.members - {SATURATION}, tried.plain)
     least = max(best.evidence, without.evidence + DECISION.decisive_gain)
@@ -141,8 +138,9 @@ def with_stated_line(
     known = row[LINE_COLUMNS].any() or row[_SET_POINT_SPEED] > 0
     if known or traces[0].load is PER_INERTIA:
         return row
-    rows = np.tile(row, (1 + _LARGER.size, 1))
-    rows[1:, LINE_COLUMNS[0]] = servo.max_torque_Nm * _LARGER
+    larger = np.linspace(1.0, 2.0, 26)
+    rows = np.tile(row, (1 + larger.size, 1))
+    rows[1:, LINE_COLUMNS[0]] = servo.max_torque_Nm * larger
     rows[1:, LINE_COLUMNS[1]] = servo.no_load_speed_rad_s
     residuals = ServoProblem(traces, rows[1], ()).row_residuals(rows)
     squares = np.sum(residuals**2, axis=1)

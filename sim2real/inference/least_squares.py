@@ -1,8 +1,4 @@
-"""Levenberg-Marquardt minimisation of many bounded problems at once.
-
-A problem provides loss, gradient and curvature at given points (``Expansion``), for any number of
-problems in one call.
-"""
+"""Levenberg-Marquardt minimisation of many bounded problems at once."""
 
 from __future__ import annotations
 
@@ -34,18 +30,14 @@ class Expansion:
 
     def replace(self, rows: Index, new: Expansion, chosen: Mask | slice = slice(None)) -> None:
         """Replace the rows (M,), in place, by the M chosen rows of another expansion."""
-        pairs = zip(self._arrays(), new._arrays(), strict=True)
-        for target, source in pairs:
-            target[rows] = source[chosen]
-
-    def _arrays(self) -> list[Array]:
-        return [self.loss, self.slope, self.curvature, *self.aside.values()]
+        for name in ("loss", "slope", "curvature"):
+            getattr(self, name)[rows] = getattr(new, name)[chosen]
+        for name, values in self.aside.items():
+            values[rows] = new.aside[name][chosen]
 
 
 Expand = Callable[[Array, Index], Expansion]
 """Function from points (M, F), in units, of the problems ``index`` (M,) to their expansions."""
-
-
 Hopeless = Callable[[Index, Array, Array, Array], Mask]
 """Function from the active problems (M,), the points (N, F) and losses (N,) of all, and the gain
 that each active one expects of an undamped step (M,), to a mask of those to stop (M,)."""

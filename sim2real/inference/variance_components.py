@@ -48,7 +48,6 @@ def variance_components(
     Errors are independent, or in part those of all estimates, as of a law that leaves something
     out: ``own`` has the probability of each share of the standard deviation that is each estimate's
     own. The rest shows in no difference, and widens the intervals of the mean and of a new member.
-
     The mean has a flat prior and is integrated out; the standard deviations have the reference
     prior of Bodnar and others (Statistics in Medicine 36, 2017, eq. 9), for each level given that
     below it. Without errors this is the prior of Box and Tiao (Bayesian Inference in Statistical
@@ -60,8 +59,8 @@ def variance_components(
         sd: Standard deviations of their errors, shape (N,).
         groups: Label of the group of each of them, N of them.
         level: Probability of the intervals.
-        points: Number of grid points of each standard deviation.
-        own: Shares of the errors' standard deviation and their probabilities, see above.
+        points: See above.
+        own: See above.
     """
     labels = list(dict.fromkeys(groups))
     alone, single = len(labels) == 1, len(set(groups)) == values.size
