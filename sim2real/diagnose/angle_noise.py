@@ -18,9 +18,6 @@ from sim2real.servo.linearised import Residual, gain_derivatives, servo_modes
 
 _RATIOS = (0.1, 10.0)
 """Smallest and largest noise at rest, relative to that in motion."""
-_LEAST_SD_RAD = 1e-9
-_REST_SHARES = np.linspace(0.1, 0.8, 8)
-"""Shares of the samples, the slowest, that may be called at rest."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +81,7 @@ class NoisyJoint:
 
     def variance(self, error2: float) -> float:
         """Most probable variance of the innovations in motion, in rad2."""
-        return max(error2 / self.count, _LEAST_SD_RAD**2)
+        return max(error2 / self.count, 1e-9**2)
 
     def refitted(self, noise: Noise) -> tuple[Noise, float]:
         """The noise with its variance and ``refit`` at their best, and its log-likelihood."""
@@ -174,7 +171,7 @@ def _with_rest(
     speeds = [np.abs(s.derivatives[:, 0]) for s in segments]
     speed = np.concatenate([v[s.counts] for v, s in zip(speeds, segments, strict=True)])
     best, limit = square.size * np.log(square.mean() + 1e-300), -1.0
-    for trial in np.quantile(speed, _REST_SHARES):
+    for trial in np.quantile(speed, np.linspace(0.1, 0.8, 8)):
         rests = speed <= trial
         if min(rests.sum(), (~rests).sum()) < fewest:
             continue

@@ -1,9 +1,8 @@
 """Which effects does each joint need? The servo's side of the search of ``inference.selection``.
 
-What every servo has is part of the plain servo, before anything is looked for. A rotor turns with
-the load that is stated. Cogging and the sensor's eccentricity are common to all recordings; left
-out, their waves pass for any effect. They are fitted together with what explains most, so that they
-do not stand in for it, and kept while they are small relative to the noise.
+What every servo has is part of the plain servo: a rotor, and cogging and the sensor's eccentricity
+while they are small. Left out, their waves pass for any effect; so they are fitted together with
+what explains most.
 """
 
 from __future__ import annotations
@@ -50,11 +49,11 @@ def search(
     Where all joints are compared with references, nothing is searched.
     """
     cases = plain_sets(plain_again(batch, known), [x.base for x in known])
-    problem = ServoSearch(batch, level, rng, max(joint.effort for joint in joints))
+    problem = ServoSearch(batch, joints, level, rng)
     if all(joint.references for joint in joints):
         return cases, problem
     if not again:
-        cases = with_nuisances(problem, cases, joints, [x.best for x in known])
+        cases = with_nuisances(problem, cases, [x.best for x in known])
     jobs: list[Job] = []
     for tried, before, joint in zip(cases, known, joints, strict=True):
         sets = problem.compared(before) if again else [before.best]
@@ -71,8 +70,7 @@ def search(
     if not again:
         # Where the plain servo is most probable no effect is named, and no rival matters.
         going = [x for x in cases if x.best.members != x.base and not problem.exhausted(x)]
-        changed = with_rivals(problem, going, [joints[x.case] for x in going])
-        selection.select(problem, changed, exhausted=problem.exhausted)
+        selection.select(problem, with_rivals(problem, going), exhausted=problem.exhausted)
         problem.release(cases)
     return cases, problem
 
@@ -106,25 +104,21 @@ def size_in_noise(best: Hypothesis, effect: str, noise_rad: float) -> float:
     return float(size / (theta[0] if first.endswith("_Nm") else 1.0) / noise_rad)
 
 
-def first_look(
-    problem: ServoSearch, cases: Sequence[Tried], joints: Sequence[JointCase], *, most: int = 4
-) -> None:
+def first_look(problem: ServoSearch, cases: Sequence[Tried], *, most: int = 4) -> None:
     """Try what explains each joint best at first sight, with the small nuisances that show with it.
 
     ``most`` effects are tried, each added to the plain servo.
     """
     problem.look([(tried, tried.base) for tried in cases])
-    problem.try_all(
-        [
-            (tried, tried.base | {name}, start)
-            for tried in cases
-            for name, start in problem.additions(tried, tried.base, most)
-        ]
-    )
-    for tried, joint in zip(cases, joints, strict=True):
+    jobs: list[Job] = []
+    for tried in cases:
+        starts = problem.additions(tried, tried.base, most)
+        jobs += [(tried, tried.base | {name}, start) for name, start in starts]
+    problem.try_all(jobs)
+    for tried in cases:
         found = _waved(problem, tried, tried.best)
         if found:
-            tried.keep(_best(tried.best, found, _large(joint)))
+            tried.keep(_best(tried.best, found, _large(problem, tried)))
 
 
 def _waved(
@@ -159,10 +153,7 @@ def _waved(
 
 
 def with_nuisances(
-    problem: ServoSearch,
-    cases: Sequence[Tried],
-    joints: Sequence[JointCase],
-    best: Sequence[Hypothesis],
+    problem: ServoSearch, cases: Sequence[Tried], best: Sequence[Hypothesis]
 ) -> list[Tried]:
     """The cases, each plain servo with the nuisances that are small.
 
@@ -170,8 +161,8 @@ def with_nuisances(
     batch.
     """
     based = list(cases)
-    for k, (tried, known, joint) in enumerate(zip(cases, best, joints, strict=True)):
-        large = _large(joint)
+    for k, (tried, known) in enumerate(zip(cases, best, strict=True)):
+        large = _large(problem, tried)
         small = _small(known, large) - tried.base
         if not small:
             continue
@@ -204,16 +195,15 @@ def states_load(best: Hypothesis, joint: JointCase) -> bool:
     return beyond - Z90 * sd < DECISION.inertia_tolerance * joint.traces[0].load.inertia_kgm2
 
 
-def with_rotors(
-    problem: ServoSearch, cases: Sequence[Tried], joints: Sequence[JointCase]
-) -> list[Tried]:
+def with_rotors(problem: ServoSearch, cases: Sequence[Tried]) -> list[Tried]:
     """The cases, each plain servo with its rotor where the recordings show one.
 
     Every servo has one, and stated loads leave it out: an inertia that the data sheet makes likely
     costs no set its prior.
     """
     based = list(cases)
-    for k, (tried, joint) in enumerate(zip(cases, joints, strict=True)):
+    for k, tried in enumerate(cases):
+        joint = problem.joints[tried.case]
         if joint.rotor_room_kgm2 == 0 or UNMODELLED_INERTIA in tried.base:
             continue
         turning = Tried(tried.case, tried.base | {UNMODELLED_INERTIA})
@@ -234,12 +224,7 @@ def with_rotors(
 
 
 def with_rivals(
-    problem: ServoSearch,
-    cases: Sequence[Tried],
-    joints: Sequence[JointCase],
-    *,
-    rivals: int = 8,
-    promise: float = 2.0,
+    problem: ServoSearch, cases: Sequence[Tried], *, rivals: int = 8, promise: float = 2.0
 ) -> list[Tried]:
     """Those joints in which, with small nuisances tried too, other effects are most probable now.
 
@@ -247,8 +232,8 @@ def with_rivals(
     A fit may make ``promise`` times the gain at first sight.
     """
     changed = []
-    for tried, joint in zip(cases, joints, strict=True):
-        before, large = tried.best, _large(joint)
+    for tried in cases:
+        before, large = tried.best, _large(problem, tried)
         near = sorted(tried.tried.values(), key=lambda h: -h.evidence)[:rivals]
         for h in near:
             behind = before.evidence - h.evidence
@@ -277,9 +262,9 @@ def _best(first: Hypothesis, tried: Sequence[Hypothesis], large_rad: float) -> H
     return best if best.evidence > first.evidence + DECISION.nuisance_min_evidence else first
 
 
-def _large(joint: JointCase) -> float:
+def _large(problem: ServoSearch, tried: Tried) -> float:
     """Angle from which a joint's nuisance is a finding, rad."""
-    return DECISION.nuisance_finding_size * joint.noise
+    return DECISION.nuisance_finding_size * problem.joints[tried.case].noise
 
 
 def _small(hypothesis: Hypothesis, large_rad: float) -> Set:

@@ -181,7 +181,7 @@ def _findings(
         and (batch.least_gain == 0 or joint.traces[0].spread is None)
     ]
     search_again(problem, structured)
-    cases = with_rotors(problem, cases, joints)
+    cases = with_rotors(problem, cases)
     probable = posteriors(cases, rng)
     best = [tried.tried[p.sets[0]] for tried, p in zip(cases, probable, strict=True)]
     fewer = [

@@ -19,10 +19,6 @@ from sim2real.servo.linearised import Residual
 MOST_LAGS = 6
 """Largest order of the autoregression of the noise."""
 EFFECTS = ("latency_jitter", "packet_loss")
-_HALFWIDTHS_S = np.geomspace(2.5e-4, 0.1, 10)
-"""Halfwidths of the delays from which the search for jitter starts."""
-_CORRELATION_STEPS = np.array([-0.2, -0.1, 0.0, 0.1, 0.2])
-"""Steps by which the correlation of successive delays is refined."""
 
 
 @dataclass(frozen=True)
@@ -191,12 +187,13 @@ class LinkFit:
             pairs = zip(options, events.run(options, width=width), strict=True)
             return max(pairs, key=lambda pair: _total(pair[1]))
 
-        sizes = _HALFWIDTHS_S / np.sqrt(3)
+        sizes = np.geomspace(2.5e-4, 0.1, 10) / np.sqrt(3)  # from halfwidths
         if arrivals.loss:  # coarser, as many histories of losses take long
             near = arrivals.delay_sd_s * np.geomspace(0.7, 1.4, 3)
             return best_of(near if near.any() else sizes[3:9:2], np.array([arrivals.correlation]))
         if arrivals.delay_sd_s:
-            near = np.unique(np.clip(arrivals.correlation + _CORRELATION_STEPS, 0.0, 0.95))
+            correlations = arrivals.correlation + np.array([-0.2, -0.1, 0.0, 0.1, 0.2])
+            near = np.unique(np.clip(correlations, 0.0, 0.95))
             return best_of(arrivals.delay_sd_s * np.geomspace(0.6, 1.7, 7), near)
         middle = best_of(sizes, np.array([0.5]))
         others = best_of(np.array([middle[0].delay_sd_s]), np.array([0.0, 0.8]))

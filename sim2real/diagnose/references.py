@@ -153,7 +153,7 @@ def _not_searched(
     plain = _evaluated(batch, plain_servos(places, np.array(rows), inertia, batch.period))
     cases = plain_sets(plain, [joint.base for joint in joints])
     without = unmodelled(batch, [x.traces for x in joints], joined([t.plain.fit for t in cases]))
-    search = ServoSearch(batch, DECISION.false_alarms / len(joints), rng)
+    search = ServoSearch(batch, joints, DECISION.false_alarms / len(joints), rng)
     return [
         Finding(
             tried=tried,

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim2real.arrays import Array, Index, Mask
+from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.screening import (
     BRANCH_COLUMNS,
@@ -52,9 +53,8 @@ BLOCKS = 20
 class ServoSearch:
     """What the search asks of the servos of a batch: see ``selection.Problem``.
 
-    ``effort`` multiplies the budget ``DECISION.search_substeps``.
-
     Attributes:
+        joints: The joints of the batch, by case.
         fixed: By case, effects whose parameters stay as they are until ``release``.
         singles: Whether every effect by itself is still to be tried.
         unfinished: Cases whose search was ended by its budget.
@@ -67,9 +67,9 @@ class ServoSearch:
     promise = 6.0  # times the gain that a fit's quadratic model promises
 
     def __init__(
-        self, batch: Batch, level: float, rng: np.random.Generator, effort: float = 1.0
+        self, batch: Batch, joints: Sequence[JointCase], level: float, rng: np.random.Generator
     ) -> None:
-        self.batch, self.level, self.rng, self.effort = batch, level, rng, effort
+        self.batch, self.joints, self.level, self.rng = batch, tuple(joints), level, rng
         self.fixed: dict[int, Set] = {}
         self.singles = True
         self.unfinished: set[int] = set()
@@ -247,7 +247,7 @@ class ServoSearch:
         The budget is counted in sub-steps of rollouts, so that no answer depends on the machine.
         """
         spent = self.batch.substeps[tried.case] - self.spent_before[tried.case]
-        if spent > self.effort * DECISION.search_substeps:
+        if spent > max(joint.effort for joint in self.joints) * DECISION.search_substeps:
             self.unfinished.add(tried.case)
         return tried.case in self.unfinished
 

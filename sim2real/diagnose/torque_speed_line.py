@@ -38,7 +38,6 @@ _SET_POINT_SPEED = COLUMNS.index("rate_limit.limit_rad_s")
 
 def with_limits(
     search: ServoSearch,
-    joints: Sequence[JointCase],
     tried: Sequence[Tried],
     *,
     rotors: Sequence[float] = (0.05, 0.2, 0.4),
@@ -54,17 +53,17 @@ def with_limits(
     effect like others: little of what tells it from a limited set-point shows at first sight.
     """
     limited: dict[int, JointCase] = {}
-    for joint, known in zip(joints, tried, strict=True):
-        row = known.best.fit.servos.theta[0]
+    for known in tried:
+        joint, row = search.joints[known.case], known.best.fit.servos.theta[0]
         open_to_all = joint.references or joint.base or joint.traces[0].slow is not None
         if open_to_all or joint.stall_Nm is None or row[LINE_COLUMNS].any():
             continue
-        limit = _better_limit(search, joint, known)
+        limit = _better_limit(search, known)
         if limit is not None and known.best.members != known.base:
             best = known.best
             further = search.additions(known, best.members, rivals)
             search.try_all([(known, best.members | {name}, start) for name, start in further])
-            limit = limit if known.best is best else _better_limit(search, joint, known)
+            limit = limit if known.best is best else _better_limit(search, known)
         if limit is None:
             continue
         law: Law = "motor"
@@ -82,22 +81,21 @@ def with_limits(
     return limited
 
 
-def _better_limit(search: ServoSearch, joint: JointCase, tried: Tried) -> Hypothesis | None:
+def _better_limit(search: ServoSearch, tried: Tried) -> Hypothesis | None:
     """The best limit with the best set of effects, or in place of one of them, if it is better."""
     best = tried.best
     alike = [e for e in best.members - tried.base if named(e).site in ("command", "motor")]
     sets = [best.members, *(best.members - {e} for e in alike)]
-    limits = [limit for members in sets for limit in _limits(search, joint, tried, members)]
+    limits = [limit for members in sets for limit in _limits(search, tried, members)]
     limit = max(limits, key=lambda one: one.evidence)
     without = tried.tried.get(limit.members - {SATURATION}, tried.plain)
     least = max(best.evidence, without.evidence + DECISION.decisive_gain)
     return limit if limit.evidence > least else None
 
 
-def _limits(
-    search: ServoSearch, joint: JointCase, tried: Tried, members: Set
-) -> Iterator[Hypothesis]:
+def _limits(search: ServoSearch, tried: Tried, members: Set) -> Iterator[Hypothesis]:
     """Fits of a joint's effects together with a limit of its motor."""
+    joint = search.joints[tried.case]
     assert joint.servo is not None and joint.stall_Nm is not None
     line = tried.best.fit.servos.theta[0].copy()
     line[LINE_COLUMNS] = joint.stall_Nm, joint.servo.no_load_speed_rad_s

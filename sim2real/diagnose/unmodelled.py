@@ -1,9 +1,8 @@
 """Where and when something is missing, and whether it is in the catalogue at all.
 
-Could any smooth function of one state explain what a fit leaves? The servo is linearised about its
-own motion: a torque on the shaft moves the angle through 1 / (I s2 + kd s + kp + gravity). Families
-of such torques, or of errors of the sensor, are fitted by least squares together with the gains and
-the noise model.
+Could any smooth function of one state explain what a fit leaves? Families of torques, which move
+the linearised servo through 1 / (I s2 + kd s + kp + gravity), or of errors of the sensor are fitted
+by least squares together with the gains and the noise model.
 """
 
 from __future__ import annotations

@@ -40,10 +40,10 @@ def test_the_base_has_no_prior_that_other_sets_lack():
     """What every set has costs none of them: the plain servo is not compared with a handicap."""
     traces = [traced(1, "a", sensor_eccentricity=WAVE)]
     batch, joints = Batch([traces]), [JointCase("j1", traces, NOISE, None)]
-    problem = ServoSearch(batch, 0.01, np.random.default_rng(0))
+    problem = ServoSearch(batch, joints, 0.01, np.random.default_rng(0))
     cases = plain_sets(baselines(batch))
-    first_look(problem, cases, joints)
-    (based,) = with_nuisances(problem, cases, joints, [cases[0].best])
+    first_look(problem, cases)
+    (based,) = with_nuisances(problem, cases, [cases[0].best])
     assert "sensor_eccentricity" in based.base
     (again,) = problem.refit([(based, based.base, based.plain.fit.servos.theta[0])])
     assert again.evidence == pytest.approx(based.plain.evidence, abs=0.5)

@@ -140,5 +140,7 @@ def test_the_age_of_polled_readings_slips_as_clocks_that_run_apart_do(every, pol
     assert (joint.traces[0].slow is not None) == polled
     batch = batch_of([joint])
     (tried,) = plain_sets(baselines(batch))
-    _, options = ServoSearch(batch, 0.01, np.random.default_rng(0)).seen(tried, frozenset())
+    _, options = ServoSearch(batch, [joint], 0.01, np.random.default_rng(0)).seen(
+        tried, frozenset()
+    )
     assert ("clock_drift" not in {one.effect.name for one in options}) == polled
