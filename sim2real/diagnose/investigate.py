@@ -25,7 +25,7 @@ from sim2real.diagnose.effect_search import (
     with_rotors,
 )
 from sim2real.diagnose.link_effect import IrregularTiming, link_of
-from sim2real.diagnose.rattle import Rattle, rattles
+from sim2real.diagnose.located import Rattle, rattles
 from sim2real.diagnose.result import Estimate
 from sim2real.diagnose.servo_search import ServoSearch
 from sim2real.diagnose.unmodelled import Unmodelled, beyond_noise, excess, unmodelled

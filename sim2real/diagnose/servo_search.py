@@ -156,10 +156,9 @@ class ServoSearch:
     def refit(self, jobs: Sequence[Job], *, free: bool = False) -> list[Hypothesis]:
         """Refit sets of effects from parameter rows; the best of several starts stands for all.
 
-        Starts in different branches of an effect's law (``BRANCHES``) and starts with different
-        gaps are fits of their own: motion across a gap has many minima.
-        A set is given up where its case has a fit that it can't come near. ``free``: nothing is
-        fixed.
+        Starts in different branches of an effect's law and starts with different gaps are fits of
+        their own: motion across a gap has many minima. A set is given up where its case has a fit
+        that it can't come near. ``free``: nothing is fixed.
         """
         if not jobs:
             return []
