@@ -58,8 +58,7 @@ class Segment:
         """The recording as an ``EventFilter`` takes it."""
         of, residual = self.source, self.corrected(noise.refit)
         scale = np.where(self.counts, np.where(self.rests, noise.ratio, 1.0), 0.0)
-        if of.trace.spread is not None:
-            scale *= of.trace.spread
+        scale *= of.trace.noise_ratio
         return Channel(
             of.trace.t, of.trace.command, of.arrival_s, servo_modes(of), residual, scale,
             self.rests, noise.model, noise.variance,

@@ -64,7 +64,7 @@ from sim2real.servo.parameters import (
 )
 from sim2real.servo.trace import Trace, at_one_gain, firmware_gain
 
-__all__ = ["Case", "diagnose", "diagnose_case"]
+__all__ = ["Case", "diagnose", "diagnose_all"]
 _GIVEN = (*BASE[3:], *LOOP)
 """Parameters that are not fitted again: the load's, and the times of a sampled controller."""
 
@@ -110,27 +110,50 @@ def diagnose(
     loaded = with_arm_loads(everything, robot, model)
     references, recordings = loaded[: len(references)], loaded[len(references) :]
     case = Case(recordings, robot, model, references, effort)
-    case, joints = examined(case, seed=seed, progress=progress)
-    result = with_checks(diagnosis(case, joints, negligible, seed), case, joints)
-    progress(1.0)
+    (result,) = diagnose_all(
+        [case], negligible=negligible, seed=seed, thorough=True, progress=progress
+    )
     if model is None:
         gain = next(filter(None, map(firmware_gain, everything)), None)
     result = replace(result, model=replace(result.model, firmware_p_gain=gain))
     return result.with_intervals(interval)
 
 
-def diagnose_case(
-    case: Case, *, negligible: float = DECISION.negligible, seed: int = 0
-) -> Diagnosis:
-    """As ``diagnose``, without detection limits, the next experiment and what figures show."""
-    case, joints = examined(case, seed=seed)
-    return diagnosis(case, joints, negligible, seed)
+def diagnose_all(
+    cases: Sequence[Case],
+    *,
+    negligible: float = DECISION.negligible,
+    seed: int = 0,
+    thorough: bool = False,
+    progress: Progress = lambda share: None,
+) -> list[Diagnosis]:
+    """Diagnose any number of robots, one after the other.
+
+    Args:
+        cases: The robots.
+        negligible: As of ``diagnose``.
+        seed: Seed of the bootstraps.
+        thorough: Whether to work out detection limits, the next experiment and what the figures
+            show as well.
+        progress: Called with the share that is done.
+    """
+    results = []
+    for k, given in enumerate(cases):
+
+        def step(share: float, done: int = k) -> None:
+            progress((done + share) / len(cases))
+
+        case, joints = examined(given, seed=seed, progress=step)
+        result = diagnosis(case, joints, negligible, seed)
+        results.append(with_checks(result, case, joints) if thorough else result)
+        step(1.0)
+    return results
 
 
 def examined(
     case: Case, *, seed: int = 0, progress: Progress = lambda share: None
 ) -> tuple[Case, list[JointFindings]]:
-    """What is known of each joint of a robot, before it is put into words; as ``diagnose``.
+    """What is known of each joint of a robot, before it is put into words; as ``diagnose_all``.
 
     Returns:
         The case with the servos that were taken for granted, and its joints.

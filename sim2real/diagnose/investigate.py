@@ -66,9 +66,9 @@ class Finding:
     unexplained: bool  # whether the most probable set leaves something
     groups: tuple[Group, ...]  # what is missing, most probable first
     unmodelled: Unmodelled  # what could be missing without a name
-    unknown: float  # probability that what is missing is not in the catalogue
     excess: float  # energy of the best set's residual beyond noise, in variances of the noise
     noise: float  # standard deviation of the sensor's noise, rad
+    unknown: float = 0.0  # probability that what is missing is not in the catalogue
     rattle: Rattle | None = None  # what rattles in it, if gears are not among the effects
     link: IrregularTiming | None = None  # irregular timing of the link, or None
     place: int = 0  # of the joint among those of the link
@@ -100,9 +100,8 @@ class Finding:
         """Share by which an effect, added to the others, lowers the held-out error.
 
         Infinite where that cannot be measured: of rounding, and where nothing is held out. Of
-        irregular timing of the link, which cannot be predicted, it is the share by which it raises
-        the error; none where set-points come no later than the controller's next turn would take
-        them anyway.
+        irregular timing of the link it is the share by which it raises the error; none where
+        set-points come no later than the controller's next turn would take them anyway.
         """
         if self.link is not None and effect in self.link.sizes:
             size, _ = self.link.sizes[effect]
@@ -153,9 +152,7 @@ def investigate(
 
 def placed(tried: Tried, joint: int) -> Tried:
     """What was tried in another batch, as of this joint of the full one."""
-    moved = {
-        members: replace(h, fit=h.fit.of_joints([joint])) for members, h in tried.tried.items()
-    }
+    moved = {s: replace(h, fit=h.fit.of_joints([joint])) for s, h in tried.tried.items()}
     return replace(tried, case=joint, tried=moved)
 
 
@@ -205,7 +202,6 @@ def _findings(
             unexplained=excesses[j] > DECISION.structured_excess,
             groups=_groups(probable[j].groups(tried.base), best[j], joint),
             unmodelled=without[j],
-            unknown=0.0,
             excess=excesses[j],
             noise=joint.noise,
             rattle=None if "backlash" in best[j].members else rattling[j],

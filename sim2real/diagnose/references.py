@@ -164,7 +164,6 @@ def _not_searched(
             unexplained=False,
             groups=(),
             unmodelled=one,
-            unknown=0.0,
             excess=1.0,
             noise=joint.noise,
         )

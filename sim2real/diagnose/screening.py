@@ -103,11 +103,7 @@ class Screen:
         return np.asarray(-0.5 * self.count * np.log1p(-share))
 
     def threshold(
-        self,
-        level: float,
-        rng: np.random.Generator,
-        draws: int = 999,
-        starts: Mask | None = None,
+        self, level: float, rng: np.random.Generator, draws: int = 999, starts: Mask | None = None
     ) -> float:
         """Gain that the best of some starts exceeds by chance, with probability ``level``.
 

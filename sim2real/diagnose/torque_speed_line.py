@@ -34,23 +34,20 @@ from sim2real.servo.parameters import COLUMNS, stated
 from sim2real.servo.trace import Trace
 
 _SET_POINT_SPEED = COLUMNS.index("rate_limit.limit_rad_s")
+_ROTORS = 0.05, 0.2, 0.4
+"""Inertia of rotors over that of the load to start from, where torques may show it."""
 
 
 def with_limits(
-    search: ServoSearch,
-    tried: Sequence[Tried],
-    *,
-    rotors: Sequence[float] = (0.05, 0.2, 0.4),
-    rivals: int = 6,
+    search: ServoSearch, tried: Sequence[Tried], *, rivals: int = 6
 ) -> dict[int, JointCase]:
     """Joints that reach their motor's limit, with a plain model that has it.
 
     The limit is a line of torque and speed, or flat: the data sheet's torque at any speed. A line
-    may have a lower limit of current as well: an effect, tried by the search, with ``rotors`` of
-    these shares of the load's inertia, as torques may show it. The limit joins what explains each
-    joint best at first sight, or stands in for one of its effects, and is there where none of
-    ``rivals`` further effects explains more. Where slow errors are part of the noise it is an
-    effect like others: little of what tells it from a limited set-point shows at first sight.
+    may have a lower limit of current as well: an effect, tried by the search. The limit joins what
+    explains each joint best at first sight, or stands in for one of its effects, and is there where
+    none of ``rivals`` further effects explains more. Where slow errors are part of the noise it is
+    an effect like others: little of what tells it from a limited set-point shows at first sight.
     """
     limited: dict[int, JointCase] = {}
     for known in tried:
@@ -70,7 +67,7 @@ def with_limits(
         theta, also = limit.fit.servos.theta[0].copy(), joint.stated
         if theta[LINE_COLUMNS].any() and SATURATION in limit.members:
             found = limit.members - {e.name for e in NUISANCES}
-            rows = [of_inertia(theta, joint.traces[0].load.inertia_kgm2, x) for x in rotors]
+            rows = [of_inertia(theta, joint.traces[0].load.inertia_kgm2, x) for x in _ROTORS]
             sets = [StatedSet(found | {UNMODELLED_INERTIA}, row) for row in rows]
             also = (*also, StatedSet(found, theta.copy()), *sets)
             theta[FLAT_COLUMNS] = 0.0

@@ -82,11 +82,11 @@ class ServoMotion:
     def gain_torques(self) -> list[Array]:
         """Torques equivalent to a change of kp, kd and latency, per unit of each, (T, 3) each."""
         torques = []
-        for trace, angle in ((m.trace, m.angle) for m in self.motions):
-            t, ratio = trace.t, trace.gain_factor
-            in_force = np.interp(t + trace.sample_delay_s - self.latency, t, trace.command)
-            parts = [in_force - angle, np.gradient(angle, t), self.kp * np.gradient(in_force, t)]
-            torques.append(np.stack(parts, axis=1) * [ratio, 1.0, ratio])
+        for m in self.motions:
+            t, ratio = m.trace.t, m.trace.gain_factor
+            in_force = np.interp(t + m.trace.sample_delay_s - self.latency, t, m.trace.command)
+            rates = np.gradient(m.angle, t), self.kp * np.gradient(in_force, t)
+            torques.append(np.stack([in_force - m.angle, *rates], axis=1) * [ratio, 1.0, ratio])
         return torques
 
     @cached_property
@@ -96,9 +96,8 @@ class ServoMotion:
 
     def angles(self, torques: Sequence[Array]) -> Array:
         """Angles by which torques (T, K) in each recording move the servo, shape (N, K)."""
-        return np.vstack(
-            [lfilter(*f, x, axis=0) for x, f in zip(torques, self.filters, strict=True)]
-        )
+        pairs = zip(self.filters, torques, strict=True)
+        return np.vstack([lfilter(*f, x, axis=0) for f, x in pairs])
 
     def fit(self, columns: Array, model: Array | None, *, rounds: int = 2) -> tuple[float, Array]:
         """Log-likelihood with gains, columns (N, K) and noise model at their best; the model."""
@@ -236,7 +235,7 @@ def _intermittent(
         for trace, segments in zip(traces, found, strict=True):
             wider = tuple((a - 0.1, b + 0.3) for a, b in segments)
             kept.append(replace(trace, used=trace.used & ~inside(trace.t, wider)))
-        outside = Batch([kept], batch.threads)
+        outside = Batch([kept])
         white = minimise(outside, plain.servos.of_joints([0]), iterations=8, white=True)
         fit = minimise(outside, white.servos, iterations=8)
         if fit.count[0] <= outside.lags:  # too few samples outside explain nothing
