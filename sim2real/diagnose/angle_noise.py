@@ -130,11 +130,8 @@ def with_noise(
 ) -> NoisyJoint:
     """Fit the noise of one joint by maximum likelihood, set-points arriving at the latency.
 
-    ``lags`` is the order of the autoregression, ``least_gain`` the least gain of the whitening
-    filter at frequency 0.
-
-    Raises:
-        ValueError: If no more samples count than the autoregression has coefficients.
+    The autoregression has ``lags`` coefficients, and fewer samples that count are a ValueError;
+    its whitening filter has at least this gain at frequency 0.
     """
     segments = tuple(
         Segment(

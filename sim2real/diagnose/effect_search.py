@@ -76,11 +76,7 @@ def search(
 
 
 def search_again(problem: ServoSearch, cases: Sequence[Tried]) -> None:
-    """Try every effect together with the most probable set of each joint, until no set is better.
-
-    For joints whose most probable set leaves structure in the residual: a noise model that has
-    taken up structure hides an effect from the linear look that chooses what is tried.
-    """
+    """Try every effect with the most probable set of each joint, until no set is better."""
     some = [tried for tried in cases if not problem.exhausted(tried)]
     problem.singles = True
     selection.widen(problem, some)
@@ -105,10 +101,7 @@ def size_in_noise(best: Hypothesis, effect: str, noise_rad: float) -> float:
 
 
 def first_look(problem: ServoSearch, cases: Sequence[Tried], *, most: int = 4) -> None:
-    """Try what explains each joint best at first sight, with the small nuisances that show with it.
-
-    ``most`` effects are tried, each added to the plain servo.
-    """
+    """Try the effects that explain each joint best at first sight, and small nuisances besides."""
     problem.look([(tried, tried.base) for tried in cases])
     jobs: list[Job] = []
     for tried in cases:
@@ -155,11 +148,7 @@ def _waved(
 def with_nuisances(
     problem: ServoSearch, cases: Sequence[Tried], best: Sequence[Hypothesis]
 ) -> list[Tried]:
-    """The cases, each plain servo with the nuisances that are small.
-
-    They are fitted with what explained each joint best before, of these recordings or of such a
-    batch.
-    """
+    """The cases, each plain servo with small nuisances, as fitted with what was best before."""
     based = list(cases)
     for k, (tried, known) in enumerate(zip(cases, best, strict=True)):
         large = _large(problem, tried)

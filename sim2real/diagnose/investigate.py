@@ -123,10 +123,7 @@ def investigate(
     rng: np.random.Generator,
     progress: Progress = lambda share: None,
 ) -> tuple[list[JointCase], list[Finding]]:
-    """The joints of a robot, their recordings as they were aligned, and what each is missing.
-
-    ``known`` is what a first look tried.
-    """
+    """The joints of a robot as they were aligned, and what each is missing, from a first look."""
     joints = list(joints)
     findings = _findings(batch, joints, known, rng, lambda share: progress(0.6 * share))
     # Where structure stays, it is no sensor's noise: the noise model must then be free.
@@ -177,6 +174,7 @@ def _findings(
         if left > DECISION.structured_excess
         and (batch.least_gain == 0 or joint.traces[0].spread is None)
     ]
+    # A noise model that has taken up structure hides effects from the linear look.
     search_again(problem, structured)
     cases = with_rotors(problem, cases)
     probable = posteriors(cases, rng)
@@ -244,11 +242,7 @@ def _with_link(
     findings: Sequence[Finding],
     longest_jitter_s: float = np.inf,
 ) -> tuple[list[Finding], list[int]]:
-    """Findings with the link of some joints, and the joints that show it alone.
-
-    Irregular timing competes with each joint's effects: with all of them, without one of them, or
-    instead of them, whichever explains more.
-    """
+    """Findings with the link of some joints, and the joints that show it alone."""
     plain, best = [f.tried.plain for f in findings], [f.best for f in findings]
     least_gain = min(findings[j].search.batch.least_gain for j in some)
     link_with = partial(_link, batch, joints, some, least_gain)
@@ -264,6 +258,7 @@ def _with_link(
     sure = plain_link.sizes.keys() & best_link.sizes.keys()
     for k, j in enumerate(some):
         finding, tried = findings[j], findings[j].tried
+        # With all of a joint's effects, without one of them, or instead of them.
         options = [(best[j], best_link), (plain[j], plain_link)]
         most = max(link.shares[k] for _, link in options)
         for effect in best[j].members - tried.base:
@@ -330,10 +325,7 @@ def _link(
     *,
     both: bool = True,
 ) -> IrregularTiming:
-    """What irregular timing explains of some joints; ``servos`` are those of all joints.
-
-    Their noise is as free as in the search for effects.
-    """
+    """What irregular timing explains of some joints; ``servos`` are those of all joints."""
     fits = [servos[j].fit.of_joints([j]) for j in some]
     left = []
     for j, fit, of_joint in zip(some, fits, residual_angles(batch, joined(fits)), strict=True):

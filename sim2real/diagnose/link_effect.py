@@ -63,27 +63,30 @@ def link_of(
     joints = [with_noise(of_joint, min(lags, MOST_LAGS), least_gain) for of_joint in residuals]
     samples = sum(joint.count for joint in joints)
     least = max(noticed, DECISION.link.negligible_gain * samples) if noticed else 0.0
-    best = max((x for effect in EFFECTS for x in fitted(joints, effect)), key=lambda fit: fit.gain)
+    fits = [fit for effect in EFFECTS for fit in fitted(joints, (effect,))]
+    best = max(fits, key=lambda fit: fit.gain)
     if best.gain < least:
         return IrregularTiming({best.effects[0]: (0.0, np.inf)}, shares=(0.0,) * len(joints))
     if noticed and both:
-        pair = best.with_other()
+        effects = (*best.effects, *(e for e in EFFECTS if e not in best.effects))
+        pair = max(fitted(joints, effects, best), key=lambda fit: fit.gain)
         best = pair if pair.gain > best.gain + max(least, law_error * best.gain) else best
     return best.result()
 
 
-def fitted(joints: Sequence[NoisyJoint], effect: str) -> list[LinkFit]:
-    """Fits of one effect: each joint with packets of its own and, for losses, with common ones."""
-    fits = [LinkFit(joints, (effect,), common=False)]
-    if effect == "packet_loss" and _at_once(joints):
-        fits.append(LinkFit(joints, (effect,), common=True))
-    return fits
+def fitted(
+    joints: Sequence[NoisyJoint], effects: tuple[str, ...], begun: LinkFit | None = None
+) -> list[LinkFit]:
+    """Fits with packets of each joint's own and, for losses of several joints, with common ones.
 
-
-def _at_once(joints: Sequence[NoisyJoint]) -> bool:
-    """Whether set-points are sent to several joints at once."""
+    ``begun`` as of ``LinkFit``, whose packets stay as they are.
+    """
     times = {tuple(s.residual.size for s in joint.segments) for joint in joints}
-    return len(joints) > 1 and len(times) == 1
+    at_once = "packet_loss" in effects and len(joints) > 1 and len(times) == 1
+    kinds = (False, True) if at_once else (False,)
+    if begun is not None and begun.arrivals.loss:
+        kinds = (begun.common,)
+    return [LinkFit(joints, effects, common=common, begun=begun) for common in kinds]
 
 
 class LinkFit:
@@ -127,14 +130,6 @@ class LinkFit:
         total, arrivals, models = self._climb(models, arrivals, steps=6)
         if total > alone:
             self.gain, self.arrivals, self.noise_models = total - alone, arrivals, models
-
-    def with_other(self) -> LinkFit:
-        """The better fit of both effects, begun from this one."""
-        effects = (*self.effects, *(e for e in EFFECTS if e not in self.effects))
-        either = _at_once(self.joints) and not self.arrivals.loss
-        shared = (False, True) if either else (self.common,)
-        pairs = [LinkFit(self.joints, effects, common=x, begun=self) for x in shared]
-        return max(pairs, key=lambda pair: pair.gain)
 
     def _climb(
         self, models: list[Noise], arrivals: Arrivals, *, steps: int

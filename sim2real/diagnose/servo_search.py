@@ -222,19 +222,13 @@ class ServoSearch:
         return [tried.tried[s] for s in dict.fromkeys(sets) if s in tried.tried]
 
     def remains(self, tried: Tried, members: Set) -> bool:
-        """Whether some effect would still explain more than chance.
-
-        What every servo has a little of must explain as much as is never left to chance.
-        """
+        """Whether an effect explains more than chance, or a nuisance more than is ever chance."""
         gain, limit = self.remaining_gain(tried, members)
         largest = float(self.seen(tried, members)[0].gain.max())
         return gain > limit or largest > DECISION.decisive_gain
 
     def remaining_gain(self, tried: Tried, members: Set) -> tuple[float, float]:
-        """Largest gain that an effect would still make, and what chance would make.
-
-        What every servo has a little of does not count: it is named only where it is large.
-        """
+        """Largest gain that an effect, but no nuisance, would still make, and that of chance."""
         seen, options = self.seen(tried, members)
         counted = np.array([not option.effect.everywhere for option in options])[seen.candidate]
         limit = min(seen.threshold(self.level, self.rng, starts=counted), DECISION.decisive_gain)

@@ -18,20 +18,14 @@ Quantiles = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class VarianceComponents:
-    """Posterior of ``value = mean + group + member + error``, all but the mean normal.
+    """Posterior of ``value = mean + group + member + error``, all but the mean normal."""
 
-    Attributes:
-        mean: Mean of all groups.
-        between: Standard deviation between groups, including that within them where no group has
-            two members; None for one group.
-        within: Standard deviation within groups; None where no group has two members.
-        new: A further member of a further group, or of the only group.
-    """
-
-    mean: Quantiles
+    mean: Quantiles  # of all groups
+    # standard deviation between groups, including that within them where no group has two members;
+    # None for one group
     between: Quantiles | None
-    within: Quantiles | None
-    new: Quantiles
+    within: Quantiles | None  # the same within groups; None where no group has two members
+    new: Quantiles  # a further member of a further group, or of the only group
 
 
 def variance_components(

@@ -87,7 +87,7 @@ def test_set_points_may_act_before_they_are_stamped():
 def fit(effect, *joints):
     """The likelier fit of an effect, with packets in common or not."""
     noisy = [with_noise(joint, MOST_LAGS, LEAST_GAIN) for joint in joints]
-    return max(fitted(noisy, effect), key=lambda each: each.gain)
+    return max(fitted(noisy, (effect,)), key=lambda each: each.gain)
 
 
 def uneven(*joints):
