@@ -75,12 +75,8 @@ def try_gear_trains(problem: ServoSearch, cases: Sequence[Tried]) -> None:
     ]
     _follow(problem, places)
     for width in _WIDTHS:
-        near = [
-            (tried, h)
-            for tried in some
-            for h in _with_train(tried)
-            if h.evidence > tried.best.evidence - problem.near
-        ]
+        near = [(x, h) for x in some for h in _with_train(x)]
+        near = [(x, h) for x, h in near if h.evidence > x.best.evidence - problem.near]
         _follow(problem, [(*one, [_around(problem, *one, width)]) for one in near])
     # The rotor in addition to the stated load moves the same where neither the load's weight nor a
     # limit of the motor shows the scale.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import islice, product
 
 import numpy as np
 
@@ -173,14 +173,11 @@ class LinkFit:
         """The best size and correlation of the delays, of a grid that is finer once known."""
 
         def best_of(sizes: Array, correlations: Array) -> tuple[Arrivals, list[Filtered]]:
-            options = [
-                replace(arrivals, delay_sd_s=float(sd), correlation=float(r))
-                for sd in sizes
-                for r in correlations
-            ]
+            pairs = product(sizes.tolist(), correlations.tolist())
+            options = [replace(arrivals, delay_sd_s=sd, correlation=r) for sd, r in pairs]
             width = 8 if arrivals.loss else 1  # histories that are kept
-            pairs = zip(options, events.run(options, width=width), strict=True)
-            return max(pairs, key=lambda pair: _total(pair[1]))
+            results = zip(options, events.run(options, width=width), strict=True)
+            return max(results, key=lambda result: _total(result[1]))
 
         sizes = np.geomspace(2.5e-4, 0.1, 10) / np.sqrt(3)  # from halfwidths
         if arrivals.loss:  # coarser, as many histories of losses take long

@@ -138,12 +138,8 @@ def screen(
             theta[n, at : at + len(c.starts), c.columns] = c.starts.T
             at += len(c.starts)
         scale[n, free:at] = 1.0
-    seen = batch.evaluate(
-        Problems(fits.servos.joint, theta, scale),
-        blocks=blocks,
-        deep=free,
-        autoregression=fits.autoregression,
-    )
+    problems = Problems(fits.servos.joint, theta, scale)
+    seen = batch.evaluate(problems, blocks=blocks, deep=free, autoregression=fits.autoregression)
     screens = []
     for n, some in enumerate(candidates):
         counts = [len(c.starts) for c in some]
