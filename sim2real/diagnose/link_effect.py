@@ -116,10 +116,10 @@ class LinkFit:
         self.arrivals: Arrivals = Arrivals() if begun is None else begun.arrivals
         if "packet_loss" in effects and not self.arrivals.loss:
             self.arrivals = replace(self.arrivals, loss=0.02, repeated_loss=0.1)
-        self.noise_models = [joint.noise for joint in joints]
+        self.noise_models: Sequence[Noise] = [joint.noise for joint in joints]
         # The filter's log-likelihood counts the squares, that of the noise alone does not.
         alone = sum(joint.refitted(joint.noise)[1] - 0.5 * joint.count for joint in joints)
-        starts = [[_typical(joint) for joint in joints], [_white(joint) for joint in joints]]
+        starts: list[Sequence[Noise]] = list(zip(*map(_guesses, joints), strict=True))
         if begun is not None:
             starts = [begun.noise_models]
         # Noise that is guessed from most samples is too small until it is fitted again.
@@ -132,10 +132,10 @@ class LinkFit:
             self.gain, self.arrivals, self.noise_models = total - alone, arrivals, models
 
     def _climb(
-        self, models: list[Noise], arrivals: Arrivals, *, steps: int
-    ) -> tuple[float, Arrivals, list[Noise]]:
+        self, models: Sequence[Noise], arrivals: Arrivals, *, steps: int
+    ) -> tuple[float, Arrivals, Sequence[Noise]]:
         """The best log-likelihood, arrivals and noise models of a few alternations."""
-        best: tuple[float, Arrivals, list[Noise]] = (-np.inf, arrivals, models)
+        best: tuple[float, Arrivals, Sequence[Noise]] = (-np.inf, arrivals, models)
         for step in range(steps):
             events, results = self._filter(models), list[Filtered]()
             if "packet_loss" in self.effects:
@@ -279,20 +279,16 @@ def _total(results: Sequence[Filtered]) -> float:
     return sum(x.loglikelihood for x in results)
 
 
-def _typical(joint: NoisyJoint) -> Noise:
-    """The noise with the variance of most samples, not of those that events disturb."""
+def _guesses(joint: NoisyJoint) -> tuple[Noise, Noise]:
+    """Noise of the size of most samples, undisturbed by events, and white of third differences."""
     noise = joint.noise
     sizes = [
         np.abs(whitened(s.corrected(noise.refit), noise.model) * s.weight(noise.ratio))[s.counts]
         for s in joint.segments
     ]
-    sd = SD_PER_MEDIAN * float(np.median(np.concatenate(sizes)))
-    return replace(noise, variance=joint.variance(joint.count * sd**2))
-
-
-def _white(joint: NoisyJoint) -> Noise:
-    """White noise of the size of the third differences of the residual."""
-    third = np.concatenate([np.diff(s.residual, 3)[s.counts[3:]] for s in joint.segments])
-    sd = SD_PER_MEDIAN * float(np.median(np.abs(third))) / np.sqrt(20)  # 1 + 9 + 9 + 1
-    variance = joint.variance(joint.count * sd**2)
-    return Noise(np.zeros_like(joint.noise.model), 1.0, variance, np.zeros(3))
+    third = [np.abs(np.diff(s.residual, 3)[s.counts[3:]]) for s in joint.segments]
+    sd, rough = (SD_PER_MEDIAN * float(np.median(np.concatenate(x))) for x in (sizes, third))
+    usual = joint.variance(joint.count * sd**2)
+    white = joint.variance(joint.count * (rough / np.sqrt(20)) ** 2)  # 1 + 9 + 9 + 1
+    plain = Noise(np.zeros_like(noise.model), 1.0, white, np.zeros(3))
+    return replace(noise, variance=usual), plain

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,20 +12,15 @@ from sim2real.arrays import Array, Index, Mask
 Window = tuple[float, float]
 
 
-@dataclass(frozen=True)
-class MotionPart:
-    """A part of a motion, and its shares of squared residuals and of time."""
+class MotionPart(NamedTuple):
+    """A part of a motion."""
 
-    words: str  # "at speeds above 0.2 m/s"
+    text: str  # "72 % of it at speeds above 0.2 m/s, in 50 % of the time"
     advice: str  # what to record to learn more
-    share: float  # of the squared residuals
-    time: float  # of the samples
 
     def __str__(self) -> str:
-        """The part with its shares."""
-        return (
-            f"{100 * self.share:.0f} % of it {self.words}, in {100 * self.time:.0f} % of the time"
-        )
+        """The part with its shares of squared residuals and of time."""
+        return self.text
 
 
 def most_uneven(
@@ -43,7 +38,8 @@ def most_uneven(
         p, q = float(square[mask].sum()) / total, float(mask.mean())
         if p > q > 0:
             rest = (1 - p) * np.log((1 - p) / (1 - q)) if p < 1 else 0.0
-            found[p * np.log(p / q) + rest] = MotionPart(words, advice, p, q)
+            text = f"{100 * p:.0f} % of it {words}, in {100 * q:.0f} % of the time"
+            found[p * np.log(p / q) + rest] = MotionPart(text, advice)
     most = max(found, default=0.0)
     return found[most] if most >= least else None
 
