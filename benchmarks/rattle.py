@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import command_line, spread
-from sim2real.diagnose.rattle import rattle
+from sim2real.diagnose.located import rattle
 from sim2real.identification.identify import identify
 from sim2real.recording import read_recording
 from sim2real.robot import read_robot

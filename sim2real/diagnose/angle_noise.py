@@ -13,13 +13,11 @@ import numpy as np
 
 from sim2real.arrays import Array, Mask
 from sim2real.inference.correlated_noise import autoregression, counting, lag_products, whitened
-from sim2real.servo.linearised import Residual, gain_derivatives
+from sim2real.servo.event_filter import Channel
+from sim2real.servo.linearised import Residual, gain_derivatives, servo_modes
 
 _RATIOS = (0.1, 10.0)
 """Smallest and largest noise at rest, relative to that in motion."""
-_LEAST_SD_RAD = 1e-9
-_REST_SHARES = np.linspace(0.1, 0.8, 8)
-"""Shares of the samples, the slowest, that may be called at rest."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +54,16 @@ class Segment:
         """Residual after a change of latency, kd and kp by ``refit`` (3,), shape (T,)."""
         return self.residual - self.derivatives @ refit
 
+    def channel(self, noise: Noise) -> Channel:
+        """The recording as an ``EventFilter`` takes it."""
+        of, residual = self.source, self.corrected(noise.refit)
+        scale = np.where(self.counts, np.where(self.rests, noise.ratio, 1.0), 0.0)
+        scale *= of.trace.noise_ratio
+        return Channel(
+            of.trace.t, of.trace.command, of.arrival_s, servo_modes(of), residual, scale,
+            self.rests, noise.model, noise.variance,
+        )  # fmt: skip
+
 
 @dataclass(frozen=True)
 class NoisyJoint:
@@ -72,7 +80,7 @@ class NoisyJoint:
 
     def variance(self, error2: float) -> float:
         """Most probable variance of the innovations in motion, in rad2."""
-        return max(error2 / self.count, _LEAST_SD_RAD**2)
+        return max(error2 / self.count, 1e-9**2)
 
     def refitted(self, noise: Noise) -> tuple[Noise, float]:
         """The noise with its variance and ``refit`` at their best, and its log-likelihood."""
@@ -122,11 +130,8 @@ def with_noise(
 ) -> NoisyJoint:
     """Fit the noise of one joint by maximum likelihood, set-points arriving at the latency.
 
-    ``lags`` is the order of the autoregression, ``least_gain`` the least gain of the whitening
-    filter at frequency 0.
-
-    Raises:
-        ValueError: If no more samples count than the autoregression has coefficients.
+    The autoregression has ``lags`` coefficients, and fewer samples that count are a ValueError;
+    its whitening filter has at least this gain at frequency 0.
     """
     segments = tuple(
         Segment(
@@ -162,7 +167,7 @@ def _with_rest(
     speeds = [np.abs(s.derivatives[:, 0]) for s in segments]
     speed = np.concatenate([v[s.counts] for v, s in zip(speeds, segments, strict=True)])
     best, limit = square.size * np.log(square.mean() + 1e-300), -1.0
-    for trial in np.quantile(speed, _REST_SHARES):
+    for trial in np.quantile(speed, np.linspace(0.1, 0.8, 8)):
         rests = speed <= trial
         if min(rests.sum(), (~rests).sum()) < fewest:
             continue

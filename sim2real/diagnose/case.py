@@ -13,10 +13,7 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.rival_sets import StatedSet, stated_sets
 from sim2real.errors import InputError
 from sim2real.identification.priors import largest_rotor
-from sim2real.identification.reading_noise import (
-    rest_noise,
-    with_reading_noise,
-)
+from sim2real.identification.reading_noise import rest_noise, with_reading_noise
 from sim2real.identification.servo_problem import Hypothesis, Set, residual_angles, variants
 from sim2real.inference.correlated_noise import SlowErrors
 from sim2real.model import JointModel, Model
@@ -30,6 +27,7 @@ from sim2real.servo.trace import Trace, check_runs, traces
 
 UNMODELLED_INERTIA = "unmodelled_inertia"
 """The effect that stands for the rotor of a servo whose model states none."""
+_DRIFT, _LATENCY = COLUMNS.index("clock_drift.s_per_s"), COLUMNS.index("latency_s")
 
 
 @dataclass(frozen=True)
@@ -129,10 +127,7 @@ def prepared(case: Case) -> list[JointCase]:
 
 
 def batch_of(
-    joints: Sequence[JointCase],
-    *,
-    period: float | None = None,
-    bounded: bool = True,
+    joints: Sequence[JointCase], *, period: float | None = None, bounded: bool = True
 ) -> Batch:
     """The recordings of joints, ready for problems; ``bounded`` as of ``Batch``.
 
@@ -152,17 +147,14 @@ def coarse_step(traces: Sequence[Trace], stated_rad: float) -> float | None:
     return min(steps) if coarse and max(steps) <= 1.1 * min(steps) else None
 
 
-_DRIFT, _LATENCY = COLUMNS.index("clock_drift.s_per_s"), COLUMNS.index("latency_s")
-
-
 def on_one_clock(
     batch: Batch, joints: Sequence[JointCase], best: Sequence[Hypothesis]
 ) -> list[JointCase]:
     """The joints, their angles as the clock of the set-points would have stamped them.
 
-    Quartz oscillators differ by some 20 ppm, by another amount in each recording: a millisecond
-    after half a minute, which a good sensor detects, and which needs no action. A larger drift is
-    an effect and is not corrected. ``best`` is what explains each joint best as yet.
+    Quartz oscillators differ by some 20 ppm, by another amount in each recording, which a good
+    sensor detects after half a minute. A larger drift is an effect and is not corrected. ``best``
+    is what explains each joint best as yet.
     """
     files = sorted({trace.file for joint in joints for trace in joint.traces})
     information, slope = np.zeros((len(files), len(files))), np.zeros(len(files))
@@ -211,10 +203,8 @@ def with_own_latency(
     information, slope = _known(batch, servo, len(joint.traces), _LATENCY)
     later = np.linalg.solve(information + np.eye(len(slope)) / sd_s**2, slope)
     later -= later.mean()
-    moved = [
-        replace(trace, sample_delay_s=trace.sample_delay_s - float(delay))
-        for trace, delay in zip(joint.traces, later, strict=True)
-    ]
+    pairs = zip(joint.traces, later.tolist(), strict=True)
+    moved = [replace(x, sample_delay_s=x.sample_delay_s - delay) for x, delay in pairs]
     return replace(joint, traces=moved)
 
 
@@ -230,10 +220,9 @@ def with_slow_errors(joint: JointCase, servo: Hypothesis) -> JointCase:
 def _known(
     batch: Batch, best: Hypothesis, recordings: int, column: int, *, step: float = 1e-4
 ) -> tuple[Array, Array]:
-    """What a joint tells of a change of a parameter in each of its recordings by itself.
+    """Information (R, R) and slope (R,) of a parameter of its own in each recording of a joint.
 
-    Returns:
-        Information (R, R) and slope (R,) of the log-likelihood, the other parameters at their best.
+    Of the log-likelihood, the other parameters at their best.
     """
     servos = best.fit.servos
     own = variants(servos)

@@ -222,7 +222,7 @@ def _first_look(
     joints = list(joints)
     batch = batch_of(joints)
     tried, search = _looked(batch, joints, rng)
-    limited = with_limits(search, joints, tried)
+    limited = with_limits(search, tried)
     changed = set(limited)
     for j, joint in enumerate(joints):
         row = tried[j].best.fit.servos.theta[0]
@@ -245,9 +245,9 @@ def _looked(
     """What was tried on each joint at first sight, and what may be asked further."""
     plain = baselines(batch, [joint.model for joint in joints])
     tried = plain_sets(plain, [joint.base for joint in joints])
-    search = ServoSearch(batch, DECISION.false_alarms, rng)
+    search = ServoSearch(batch, joints, DECISION.false_alarms, rng)
     if not all(joint.references for joint in joints):
-        first_look(search, tried, joints)
+        first_look(search, tried)
     return tried, search
 
 

@@ -1,9 +1,8 @@
 """Which effects does each joint need? The servo's side of the search of ``inference.selection``.
 
-What every servo has is part of the plain servo, before anything is looked for. A rotor turns with
-the load that is stated. Cogging and the sensor's eccentricity are common to all recordings; left
-out, their waves pass for any effect. They are fitted together with what explains most, so that they
-do not stand in for it, and kept while they are small relative to the noise.
+What every servo has is part of the plain servo: a rotor, and cogging and the sensor's eccentricity
+while they are small. Left out, their waves pass for any effect; so they are fitted together with
+what explains most.
 """
 
 from __future__ import annotations
@@ -30,37 +29,31 @@ from sim2real.servo.parameters import COLUMNS, INERTIA_LEFT_OUT, TRAIN_ROTORS
 
 NAMES = frozenset(e.name for e in NUISANCES)
 _BENT = "sensor_eccentricity"
-_ROTOR = frozenset({UNMODELLED_INERTIA})
-_CALIBRATED = np.linspace(-RANGE_RAD, RANGE_RAD, 161)
 
 
 def search(
     batch: Batch,
     joints: Sequence[JointCase],
     known: Sequence[Tried],
-    *,
     level: float,
     rng: np.random.Generator,
+    *,
     again: bool = False,
     progress: Progress = lambda share: None,
 ) -> tuple[list[Tried], ServoSearch]:
-    """Try sets of effects on every joint until none is better, from what was tried before.
+    """What was tried on every joint until no set of effects is better, and what may be asked of it.
 
     ``level`` is the share of joints that miss nothing and may be searched beyond single effects.
     Without ``again`` what is known is a first look at such a batch. With it, it is a whole search
     with another noise model: its nuisances and its most probable sets are tried, and few besides.
-
     Where all joints are compared with references, nothing is searched.
-
-    Returns:
-        What was tried, one a joint, and what may be asked of it further.
     """
     cases = plain_sets(plain_again(batch, known), [x.base for x in known])
-    problem = ServoSearch(batch, level, rng, max(joint.effort for joint in joints))
+    problem = ServoSearch(batch, joints, level, rng)
     if all(joint.references for joint in joints):
         return cases, problem
     if not again:
-        cases = with_nuisances(problem, cases, joints, [x.best for x in known])
+        cases = with_nuisances(problem, cases, [x.best for x in known])
     jobs: list[Job] = []
     for tried, before, joint in zip(cases, known, joints, strict=True):
         sets = problem.compared(before) if again else [before.best]
@@ -68,28 +61,22 @@ def search(
         rows += [] if again else [(one.effects, one.theta) for one in joint.stated]
         jobs += [(tried, tried.base | members, theta) for members, theta in rows]
     problem.try_all(jobs)
-    problem.singles = not again
     if not again:
         selection.select(problem, cases, selection.Breadth(most=1), progress)
         try_gear_trains(problem, cases)
-        problem.singles = False
+    problem.singles = False
     breadth = selection.Breadth(added=3, rivals=2) if again else selection.Breadth()
     selection.select(problem, cases, breadth, progress, problem.exhausted)
     if not again:
         # Where the plain servo is most probable no effect is named, and no rival matters.
         going = [x for x in cases if x.best.members != x.base and not problem.exhausted(x)]
-        changed = with_rivals(problem, going, [joints[x.case] for x in going])
-        selection.select(problem, changed, exhausted=problem.exhausted)
+        selection.select(problem, with_rivals(problem, going), exhausted=problem.exhausted)
         problem.release(cases)
     return cases, problem
 
 
 def search_again(problem: ServoSearch, cases: Sequence[Tried]) -> None:
-    """Try every effect together with the most probable set of each joint, until no set is better.
-
-    For joints whose most probable set leaves structure in the residual: a noise model that has
-    taken up structure hides an effect from the linear look that chooses what is tried.
-    """
+    """Try every effect with the most probable set of each joint, until no set is better."""
     some = [tried for tried in cases if not problem.exhausted(tried)]
     problem.singles = True
     selection.widen(problem, some)
@@ -106,31 +93,25 @@ def size_in_noise(best: Hypothesis, effect: str, noise_rad: float) -> float:
     size = theta[COLUMNS.index(f"{effect}.{first}")]
     if effect == _BENT:
         period, phase = (theta[COLUMNS.index(f"{effect}.{n}_rad")] for n in ("period", "phase"))
-        wave = np.sin(2 * np.pi * _CALIBRATED / max(period, 1e-9) + phase)
-        line = np.polynomial.Polynomial.fit(_CALIBRATED, wave, 1)
-        size *= float(np.sqrt(2 * np.mean((wave - line(_CALIBRATED)) ** 2)))
+        angles = np.linspace(-RANGE_RAD, RANGE_RAD, 161)
+        wave = np.sin(2 * np.pi * angles / max(period, 1e-9) + phase)
+        line = np.polynomial.Polynomial.fit(angles, wave, 1)
+        size *= float(np.sqrt(2 * np.mean((wave - line(angles)) ** 2)))
     return float(size / (theta[0] if first.endswith("_Nm") else 1.0) / noise_rad)
 
 
-def first_look(
-    problem: ServoSearch, cases: Sequence[Tried], joints: Sequence[JointCase], *, most: int = 4
-) -> None:
-    """Try what explains each joint best at first sight, with the small nuisances that show with it.
-
-    ``most`` effects are tried, each added to the plain servo.
-    """
+def first_look(problem: ServoSearch, cases: Sequence[Tried], *, most: int = 4) -> None:
+    """Try the effects that explain each joint best at first sight, and small nuisances besides."""
     problem.look([(tried, tried.base) for tried in cases])
-    problem.try_all(
-        [
-            (tried, tried.base | {name}, start)
-            for tried in cases
-            for name, start in problem.additions(tried, tried.base, most)
-        ]
-    )
-    for tried, joint in zip(cases, joints, strict=True):
+    jobs: list[Job] = []
+    for tried in cases:
+        starts = problem.additions(tried, tried.base, most)
+        jobs += [(tried, tried.base | {name}, start) for name, start in starts]
+    problem.try_all(jobs)
+    for tried in cases:
         found = _waved(problem, tried, tried.best)
         if found:
-            tried.keep(_best(tried.best, found, _large(joint)))
+            tried.keep(_best(tried.best, found, _large(problem, tried)))
 
 
 def _waved(
@@ -141,10 +122,7 @@ def _waved(
     *,
     starts: int = 2,
 ) -> list[Hypothesis]:
-    """Every set of nuisances added to a hypothesis, from the most probable waves.
-
-    Only nuisances whose gain at first sight is more than ``least_gain``.
-    """
+    """A hypothesis with every set of nuisances that gain more than this at first sight."""
     names = sorted(NAMES - base.members)
     if not names or problem.batch.slow is not None:  # slow errors are noise already
         return []
@@ -168,19 +146,12 @@ def _waved(
 
 
 def with_nuisances(
-    problem: ServoSearch,
-    cases: Sequence[Tried],
-    joints: Sequence[JointCase],
-    best: Sequence[Hypothesis],
+    problem: ServoSearch, cases: Sequence[Tried], best: Sequence[Hypothesis]
 ) -> list[Tried]:
-    """The cases, each plain servo with the nuisances that are small.
-
-    They are fitted with what explained each joint best before, of these recordings or of such a
-    batch.
-    """
+    """The cases, each plain servo with small nuisances, as fitted with what was best before."""
     based = list(cases)
-    for k, (tried, known, joint) in enumerate(zip(cases, best, joints, strict=True)):
-        large = _large(joint)
+    for k, (tried, known) in enumerate(zip(cases, best, strict=True)):
+        large = _large(problem, tried)
         small = _small(known, large) - tried.base
         if not small:
             continue
@@ -197,43 +168,37 @@ def with_nuisances(
     return based
 
 
-def beyond_likely(best: Hypothesis, joint: JointCase) -> float:
-    """Inertia in kg m2 by which a load is stated too small for any likely rotor, or too large.
-
-    The rotor of a gear train counts. Recordings hardly tell how large it is, and a stated load may
-    include it.
-    """
-    first, second = best.fit.servos.theta[0, list(TRAIN_ROTORS)]
-    rotor, room = float(first or second), joint.rotor_room_kgm2
-    beyond = float(best.fit.servos.theta[0, INERTIA_LEFT_OUT]) + rotor
-    return max(beyond - room, -beyond - (room if rotor else 0.0), 0.0)
-
-
 def states_load(best: Hypothesis, joint: JointCase) -> bool:
-    """Whether the load may be stated right, by what a set says of inertia beside it."""
-    servos = best.fit.servos
+    """Whether the load may be stated right, by what a set says of inertia beside it.
+
+    A rotor that the data sheet makes likely may add to it, that of a gear train included: how large
+    it is recordings hardly tell, and a stated load may include it.
+    """
+    servos, room = best.fit.servos, joint.rotor_room_kgm2
+    first, second = servos.theta[0, list(TRAIN_ROTORS)]
+    rotor = float(first or second)
+    left_out = float(servos.theta[0, INERTIA_LEFT_OUT]) + rotor
+    beyond = max(left_out - room, -left_out - (room if rotor else 0.0), 0.0)
     place = servos.columns[0] == INERTIA_LEFT_OUT
     sd = float(np.sum(np.sqrt(best.fit.variances[place]) * servos.unit[0, place]))
-    small = DECISION.inertia_tolerance * joint.traces[0].load.inertia_kgm2
-    return beyond_likely(best, joint) - Z90 * sd < small
+    return beyond - Z90 * sd < DECISION.inertia_tolerance * joint.traces[0].load.inertia_kgm2
 
 
-def with_rotors(
-    problem: ServoSearch, cases: Sequence[Tried], joints: Sequence[JointCase]
-) -> list[Tried]:
+def with_rotors(problem: ServoSearch, cases: Sequence[Tried]) -> list[Tried]:
     """The cases, each plain servo with its rotor where the recordings show one.
 
     Every servo has one, and stated loads leave it out: an inertia that the data sheet makes likely
     costs no set its prior.
     """
     based = list(cases)
-    for k, (tried, joint) in enumerate(zip(cases, joints, strict=True)):
-        if joint.rotor_room_kgm2 == 0 or tried.base >= _ROTOR:
+    for k, tried in enumerate(cases):
+        joint = problem.joints[tried.case]
+        if joint.rotor_room_kgm2 == 0 or UNMODELLED_INERTIA in tried.base:
             continue
-        turning = Tried(tried.case, tried.base | _ROTOR)
+        turning = Tried(tried.case, tried.base | {UNMODELLED_INERTIA})
         others = tried.plain.evidence + DECISION.nuisance_min_evidence
         for h in tried.tried.values():
-            if h.members >= _ROTOR and states_load(h, joint):
+            if UNMODELLED_INERTIA in h.members and states_load(h, joint):
                 turning.keep(replace(h, evidence=h.evidence - LOG_PRIOR))
             else:
                 others = max(others, h.evidence)
@@ -248,31 +213,21 @@ def with_rotors(
 
 
 def with_rivals(
-    problem: ServoSearch,
-    cases: Sequence[Tried],
-    joints: Sequence[JointCase],
-    *,
-    rivals: int = 8,
-    promise: float = 2.0,
+    problem: ServoSearch, cases: Sequence[Tried], *, rivals: int = 8, promise: float = 2.0
 ) -> list[Tried]:
-    """Try small nuisances with the most probable sets of each joint as well.
+    """Those joints in which, with small nuisances tried too, other effects are most probable now.
 
     One that was not seen with the first explanation speaks for what happens to be shaped like it.
     A fit may make ``promise`` times the gain at first sight.
-
-    Returns:
-        Those in which other effects are most probable now.
     """
     changed = []
-    for tried, joint in zip(cases, joints, strict=True):
-        before, large = tried.best, _large(joint)
+    for tried in cases:
+        before, large = tried.best, _large(problem, tried)
         near = sorted(tried.tried.values(), key=lambda h: -h.evidence)[:rivals]
         for h in near:
             behind = before.evidence - h.evidence
-            if behind >= problem.limits.near:
-                continue
             worth = max(behind / promise, DECISION.nuisance_min_evidence)
-            found = _waved(problem, tried, h, worth)
+            found = _waved(problem, tried, h, worth) if behind < problem.near else []
             if not found:
                 continue
             tried.keep(_best(h, found, large))
@@ -296,9 +251,9 @@ def _best(first: Hypothesis, tried: Sequence[Hypothesis], large_rad: float) -> H
     return best if best.evidence > first.evidence + DECISION.nuisance_min_evidence else first
 
 
-def _large(joint: JointCase) -> float:
+def _large(problem: ServoSearch, tried: Tried) -> float:
     """Angle from which a joint's nuisance is a finding, rad."""
-    return DECISION.nuisance_finding_size * joint.noise
+    return DECISION.nuisance_finding_size * problem.joints[tried.case].noise
 
 
 def _small(hypothesis: Hypothesis, large_rad: float) -> Set:

@@ -1,10 +1,9 @@
 """Gear trains of two masses, which a linear look at one start of each effect misses.
 
-Their fits have many minima: the controller on either side, dry friction on either side, and
-contacts whose order depends on gap, rotor and rebounds. A rotor that is part of the inertia of a
-servo leaves the motion of the whole as it was, so many starts are compared at full strength with a
-fit that has no gear train. The best of each branch are fitted, and then starts around what fits
-best.
+Their fits have many minima: the controller and dry friction on either side, and contacts whose
+order depends on gap, rotor and rebounds. A rotor that is part of the inertia of a servo leaves the
+motion of the whole as it was, so many starts are compared at full strength with a fit without gear
+train. The best of each branch are fitted, and then starts around what fits best.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.diagnose.case import UNMODELLED_INERTIA
-from sim2real.diagnose.free_parameters import BRANCHES
 from sim2real.diagnose.screening import NUISANCES, Candidate, candidate, may_join
 from sim2real.diagnose.servo_search import Job, ServoSearch
 from sim2real.effects import named
@@ -35,11 +33,11 @@ from sim2real.units import unit_of
 
 _COULOMB = "coulomb_friction"
 _RUB, _SPRING = FIRST_COLUMN[_COULOMB], FIRST_COLUMN["compliance"]
-_OUTPUT_FRICTION, _ROTOR_NAME = "output_friction_Nm", "rotor_inertia_kgm2"
+_OUTPUT_FRICTION = "output_friction_Nm"
 _STARTS = {
     "gap_rad": (0.15, 0.25, 0.4, 0.65, 1.1, 1.8, 3.0),
     "compliance_rad_per_Nm": (0.3, 1.0, 3.0, 10.0),
-    _ROTOR_NAME: (0.2, 0.4, 0.8, 1.4, 2.4),
+    "rotor_inertia_kgm2": (0.2, 0.4, 0.8, 1.4, 2.4),
     _OUTPUT_FRICTION: (0.0, 0.5, 1.0),
     CONTROL_SIDE: (0.0, 0.5, 1.0),
     "sensor_on_output": (0.0, 1.0),
@@ -77,22 +75,22 @@ def try_gear_trains(problem: ServoSearch, cases: Sequence[Tried]) -> None:
     ]
     _follow(problem, places)
     for width in _WIDTHS:
-        near = [
-            (tried, h)
-            for tried in some
-            for h in _with_train(tried)
-            if h.evidence > tried.best.evidence - problem.limits.near
-        ]
+        near = [(x, h) for x in some for h in _with_train(x)]
+        near = [(x, h) for x, h in near if h.evidence > x.best.evidence - problem.near]
         _follow(problem, [(*one, [_around(problem, *one, width)]) for one in near])
-    problem.try_all(list(_whole_loads(problem, some)))
+    # The rotor in addition to the stated load moves the same where neither the load's weight nor a
+    # limit of the motor shows the scale.
+    jobs: list[Job] = []
+    for tried in some:
+        for h in _with_train(tried) if UNMODELLED_INERTIA not in tried.base else ():
+            row = of_inertia(h.fit.servos.theta[0], problem.strength(tried)[1])
+            jobs.append((tried, h.members - {UNMODELLED_INERTIA}, row))
+    problem.try_all(jobs)
     problem.spent_before += problem.batch.substeps - before  # not of the search's budget
 
 
 def _follow(
-    problem: ServoSearch,
-    places: Sequence[tuple[Tried, Hypothesis, list[Candidate]]],
-    *,
-    most: int = 4,
+    problem: ServoSearch, places: Sequence[tuple[Tried, Hypothesis, list[Candidate]]], most: int = 4
 ) -> None:
     """Fit the starts that are best at full strength, ``most`` of each branch, of other sizes."""
     places = [place for place in places if place[2]]
@@ -106,7 +104,7 @@ def _follow(
             mine = np.flatnonzero(seen.candidate == k)
             mine = mine[np.argsort(-full[mine], kind="stable")]
             starts = option.starts[seen.start[mine]]
-            branch = option.branches(BRANCHES, seen.start[mine])
+            branch = option.branches(seen.start[mine])
             for one in np.unique(branch, axis=0):
                 here = starts[(branch == one).all(axis=1)]
                 first = np.sort(np.unique(here[:, 0], return_index=True)[1])[:most]
@@ -137,34 +135,10 @@ def _with_train(tried: Tried) -> list[Hypothesis]:
     return [max(some, key=lambda h: h.evidence) for some in of if some]
 
 
-def _whole_loads(problem: ServoSearch, some: Sequence[Tried]) -> Iterator[Job]:
-    """The best of each gear train, the rotor in addition to the stated load.
-
-    It moves the same where neither the load's weight nor a limit of the motor shows the scale.
-    """
-    for tried in some:
-        if UNMODELLED_INERTIA not in tried.base:
-            for h in _with_train(tried):
-                theta = of_inertia(h.fit.servos.theta[0], problem.strength(tried)[1])
-                yield tried, h.members - {UNMODELLED_INERTIA}, theta
-
-
 def _of_gears(best: Hypothesis) -> Set:
     """Effects of a set that are dry friction or a gear train."""
     dry = named(_COULOMB).family
     return frozenset(e for e in best.members if named(e).family == dry or e in TRAINS)
-
-
-def _friction_Nm(best: Hypothesis) -> float:
-    """Largest torque of a set's dry friction, 0 without."""
-    row = best.fit.servos.theta[0]
-    torques = [
-        float(row[FIRST_COLUMN[effect] + k])
-        for effect in _of_gears(best)
-        for k, parameter in enumerate(named(effect).parameters)
-        if parameter.name in ("torque_Nm", "breakaway_Nm", _OUTPUT_FRICTION)
-    ]
-    return max(torques, default=0.0)
 
 
 def _places(problem: ServoSearch, some: Sequence[Tried]) -> Iterator[tuple[Tried, Hypothesis]]:
@@ -174,15 +148,20 @@ def _places(problem: ServoSearch, some: Sequence[Tried]) -> Iterator[tuple[Tried
     """
     jobs: list[Job] = []
     for tried in some:
-        best, friction = tried.best, _friction_Nm(tried.best)
+        row, gears = tried.best.fit.servos.theta[0], _of_gears(tried.best)
+        torques = [
+            float(row[FIRST_COLUMN[effect] + k])
+            for effect in gears
+            for k, parameter in enumerate(named(effect).parameters)
+            if parameter.name in ("torque_Nm", "breakaway_Nm", _OUTPUT_FRICTION)
+        ]
+        rubbing = row.copy()
+        rubbing[_RUB] = max(torques, default=0.0)
         # each once, and in an order that does not depend on the hashes of names
-        for smooth in dict.fromkeys((tried.base, best.members - _of_gears(best))):
-            row = best.fit.servos.theta[0].copy()
+        for smooth in dict.fromkeys((tried.base, tried.best.members - gears)):
             jobs.append((tried, smooth, row))
-            row = row.copy()
-            row[_RUB] = friction
-            if friction > 0:
-                jobs.append((tried, smooth | {_COULOMB}, row))
+            if rubbing[_RUB] > 0:
+                jobs.append((tried, smooth | {_COULOMB}, rubbing))
     problem.try_all([job for job in jobs if job[1] not in job[0].tried])
     for tried, members, _ in jobs:
         yield tried, tried.tried[members]
@@ -200,14 +179,12 @@ def _grid(problem: ServoSearch, tried: Tried, place: Hypothesis, name: str) -> C
         moved = starts[:, names.index(_OUTPUT_FRICTION)]
         moved *= row[_RUB] / moved.max()
         rub -= moved
-    left_out = row[INERTIA_LEFT_OUT] - starts[:, names.index(_ROTOR_NAME)]
+    left_out = row[INERTIA_LEFT_OUT] - starts[:, names.index("rotor_inertia_kgm2")]
     starts = np.column_stack([starts, rub, left_out])
-    waves = [
-        np.column_stack([starts, np.tile(size, (len(starts), 1))])
-        for size in (row[_WAVES], 0 * row[_WAVES])
-    ]
+    waves = [np.repeat([row[_WAVES] * share], len(starts), axis=0) for share in (1.0, 0.0)]
+    starts = np.unique(np.vstack([np.hstack([starts, wave]) for wave in waves]), axis=0)
     columns = np.append(option.columns, [_RUB, INERTIA_LEFT_OUT, *_WAVES]).astype(np.int32)
-    return replace(option, columns=columns, starts=np.unique(np.concatenate(waves), axis=0))
+    return replace(option, columns=columns, starts=starts)
 
 
 def _around(

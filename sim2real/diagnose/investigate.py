@@ -25,7 +25,7 @@ from sim2real.diagnose.effect_search import (
     with_rotors,
 )
 from sim2real.diagnose.link_effect import IrregularTiming, link_of
-from sim2real.diagnose.rattle import Rattle, rattles
+from sim2real.diagnose.located import Rattle, rattles
 from sim2real.diagnose.result import Estimate
 from sim2real.diagnose.servo_search import ServoSearch
 from sim2real.diagnose.unmodelled import Unmodelled, beyond_noise, excess, unmodelled
@@ -51,7 +51,6 @@ _DRY = "coulomb_friction"
 _PRESLIDING = [
     COLUMNS.index(f"presliding_friction.{x}") for x in ("torque_Nm", "stiffness_Nm_per_rad")
 ]
-
 _TIMED = [0, 1, 2, COLUMNS.index("clock_drift.s_per_s")]
 
 
@@ -67,9 +66,9 @@ class Finding:
     unexplained: bool  # whether the most probable set leaves something
     groups: tuple[Group, ...]  # what is missing, most probable first
     unmodelled: Unmodelled  # what could be missing without a name
-    unknown: float  # probability that what is missing is not in the catalogue
     excess: float  # energy of the best set's residual beyond noise, in variances of the noise
     noise: float  # standard deviation of the sensor's noise, rad
+    unknown: float = 0.0  # probability that what is missing is not in the catalogue
     rattle: Rattle | None = None  # what rattles in it, if gears are not among the effects
     link: IrregularTiming | None = None  # irregular timing of the link, or None
     place: int = 0  # of the joint among those of the link
@@ -101,9 +100,8 @@ class Finding:
         """Share by which an effect, added to the others, lowers the held-out error.
 
         Infinite where that cannot be measured: of rounding, and where nothing is held out. Of
-        irregular timing of the link, which cannot be predicted, it is the share by which it raises
-        the error; none where set-points come no later than the controller's next turn would take
-        them anyway.
+        irregular timing of the link it is the share by which it raises the error; none where
+        set-points come no later than the controller's next turn would take them anyway.
         """
         if self.link is not None and effect in self.link.sizes:
             size, _ = self.link.sizes[effect]
@@ -125,11 +123,7 @@ def investigate(
     rng: np.random.Generator,
     progress: Progress = lambda share: None,
 ) -> tuple[list[JointCase], list[Finding]]:
-    """Find what each joint of a robot is missing; ``known`` is what a first look tried.
-
-    Returns:
-        The joints, their recordings as they were aligned, and the findings.
-    """
+    """The joints of a robot as they were aligned, and what each is missing, from a first look."""
     joints = list(joints)
     findings = _findings(batch, joints, known, rng, lambda share: progress(0.6 * share))
     # Where structure stays, it is no sensor's noise: the noise model must then be free.
@@ -155,9 +149,7 @@ def investigate(
 
 def placed(tried: Tried, joint: int) -> Tried:
     """What was tried in another batch, as of this joint of the full one."""
-    moved = {
-        members: replace(h, fit=h.fit.of_joints([joint])) for members, h in tried.tried.items()
-    }
+    moved = {s: replace(h, fit=h.fit.of_joints([joint])) for s, h in tried.tried.items()}
     return replace(tried, case=joint, tried=moved)
 
 
@@ -172,9 +164,7 @@ def _findings(
 ) -> list[Finding]:
     """The findings with the noise model of a batch, from what was tried before (``search``)."""
     level = DECISION.false_alarms / len(joints)
-    cases, problem = search(
-        batch, joints, known, level=level, rng=rng, again=again, progress=progress
-    )
+    cases, problem = search(batch, joints, known, level, rng, again=again, progress=progress)
     data = [joint.traces for joint in joints]
     _, excesses = beyond_noise(batch, data, joined([tried.best.fit for tried in cases]))
     structured = [
@@ -184,25 +174,21 @@ def _findings(
         if left > DECISION.structured_excess
         and (batch.least_gain == 0 or joint.traces[0].spread is None)
     ]
+    # A noise model that has taken up structure hides effects from the linear look.
     search_again(problem, structured)
-    cases = with_rotors(problem, cases, joints)
+    cases = with_rotors(problem, cases)
     probable = posteriors(cases, rng)
     best = [tried.tried[p.sets[0]] for tried, p in zip(cases, probable, strict=True)]
-    problem.try_all(
-        [
-            (tried, h.members - {effect}, h.fit.servos.theta[0])
-            for tried, h in zip(cases, best, strict=True)
-            for effect in h.members - tried.base
-            if h.members - {effect} not in tried.tried
-        ],
-        free=True,
-    )
+    fewer = [
+        (tried, h.members - {effect}, h.fit.servos.theta[0])
+        for tried, h in zip(cases, best, strict=True)
+        for effect in h.members - tried.base
+        if h.members - {effect} not in tried.tried
+    ]
+    problem.try_all(fewer, free=True)
     without = unmodelled(batch, data, joined([tried.plain.fit for tried in cases]))
     left, excesses = beyond_noise(batch, data, joined([h.fit for h in best]))
-    rattling = [
-        None if "backlash" in h.members else one
-        for one, h in zip(rattles(data, left), best, strict=True)
-    ]
+    rattling = rattles(data, left)
     return [
         Finding(
             tried=tried,
@@ -214,10 +200,9 @@ def _findings(
             unexplained=excesses[j] > DECISION.structured_excess,
             groups=_groups(probable[j].groups(tried.base), best[j], joint),
             unmodelled=without[j],
-            unknown=0.0,
             excess=excesses[j],
             noise=joint.noise,
-            rattle=rattling[j],
+            rattle=None if "backlash" in best[j].members else rattling[j],
         )
         for j, (joint, tried) in enumerate(zip(joints, cases, strict=True))
     ]
@@ -257,11 +242,7 @@ def _with_link(
     findings: Sequence[Finding],
     longest_jitter_s: float = np.inf,
 ) -> tuple[list[Finding], list[int]]:
-    """Findings with the link of some joints, and the joints that show it alone.
-
-    Irregular timing competes with each joint's effects: with all of them, without one of them, or
-    instead of them, whichever explains more.
-    """
+    """Findings with the link of some joints, and the joints that show it alone."""
     plain, best = [f.tried.plain for f in findings], [f.best for f in findings]
     least_gain = min(findings[j].search.batch.least_gain for j in some)
     link_with = partial(_link, batch, joints, some, least_gain)
@@ -277,6 +258,7 @@ def _with_link(
     sure = plain_link.sizes.keys() & best_link.sizes.keys()
     for k, j in enumerate(some):
         finding, tried = findings[j], findings[j].tried
+        # With all of a joint's effects, without one of them, or instead of them.
         options = [(best[j], best_link), (plain[j], plain_link)]
         most = max(link.shares[k] for _, link in options)
         for effect in best[j].members - tried.base:
@@ -291,24 +273,23 @@ def _with_link(
             link = link_with([servo if i == j else other for i, other in enumerate(best)])
         sizes = {e: size for e, size in link.sizes.items() if e == link.effect or e in sure}
         link = replace(link, sizes=sizes)
-        short = link.sizes.get("latency_jitter", (np.inf, 0.0))[0] < longest_jitter_s
-        if link.gain <= 0 or not (short or np.isinf(longest_jitter_s)):
+        if link.gain <= 0 or link.sizes.get("latency_jitter", (np.inf,))[0] > longest_jitter_s:
             continue
         noise = float(np.sqrt(best[j].fit.error2[0] / best[j].fit.count[0]))
         remaining = excess(link.unexplained[k], joints[j].traces, batch, noise)
         remaining = min(remaining, finding.excess)
         unexplained = remaining > DECISION.structured_excess
         kept = servo.members | {ROUNDING}
-        groups = tuple(g for g in finding.groups if not kept.isdisjoint(g.members))
+        groups = [g for g in finding.groups if not kept.isdisjoint(g.members)]
+        mismatch = not lacks_rows or unexplained or bool(groups)
+        groups += [Group((e,), DECISION.most_certain) for e in link.sizes if not lacks_rows]
         explained[j] = replace(
             finding,
-            mismatch=not lacks_rows or unexplained or bool(groups),
+            mismatch=mismatch,
             unexplained=unexplained,
             excess=remaining,
             best=servo,
-            groups=groups
-            if lacks_rows
-            else (*groups, *(Group((effect,), DECISION.most_certain) for effect in link.sizes)),
+            groups=tuple(groups),
             link=None if lacks_rows else link,
             place=k,
         )
@@ -344,16 +325,11 @@ def _link(
     *,
     both: bool = True,
 ) -> IrregularTiming:
-    """What irregular timing explains of some joints; ``servos`` are those of all joints.
-
-    Their noise is as free as in the search for effects.
-    """
+    """What irregular timing explains of some joints; ``servos`` are those of all joints."""
     fits = [servos[j].fit.of_joints([j]) for j in some]
-    left = [
-        [
-            Residual(t, residual[: t.t.size], *fit.servos.theta[0, _TIMED].tolist())
-            for t, residual in zip(joints[j].traces, of_joint, strict=False)
-        ]
-        for j, fit, of_joint in zip(some, fits, residual_angles(batch, joined(fits)), strict=True)
-    ]
+    left = []
+    for j, fit, of_joint in zip(some, fits, residual_angles(batch, joined(fits)), strict=True):
+        row = fit.servos.theta[0, _TIMED].tolist()
+        pairs = zip(joints[j].traces, of_joint, strict=False)
+        left.append([Residual(t, residual[: t.t.size], *row) for t, residual in pairs])
     return link_of(left, batch.lags, least_gain, DECISION.decisive_gain, both=both)

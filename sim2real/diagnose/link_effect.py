@@ -1,38 +1,24 @@
-"""Do set-points arrive at irregular times, or not at all? The more probable effect, or both.
-
-They are tested against the noise of ``angle_noise``.
-"""
+"""Do set-points arrive at irregular times, or not at all? Tested against ``angle_noise``."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
-from typing import TypeVar
+from itertools import islice, product
 
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.diagnose.angle_noise import Noise, NoisyJoint, Segment, with_noise
+from sim2real.diagnose.angle_noise import Noise, NoisyJoint, with_noise
 from sim2real.diagnose.decision import DECISION
 from sim2real.inference.correlated_noise import whitened
 from sim2real.inference.normal import SD_PER_MEDIAN
-from sim2real.servo.event_filter import Arrivals, Channel, EventFilter, Filtered
-from sim2real.servo.linearised import Residual, servo_modes
-
-T = TypeVar("T")
+from sim2real.servo.event_filter import Arrivals, EventFilter, Filtered
+from sim2real.servo.linearised import Residual
 
 MOST_LAGS = 6
 """Largest order of the autoregression of the noise."""
 EFFECTS = ("latency_jitter", "packet_loss")
-_HALFWIDTHS_S = np.geomspace(2.5e-4, 0.1, 10)
-"""Halfwidths of the delays from which the search for jitter starts."""
-_CORRELATION_STEPS = np.array([-0.2, -0.1, 0.0, 0.1, 0.2])
-"""Steps by which the correlation of successive delays is refined."""
-_FIRST_LOSS = Arrivals(0.02, 0.1)
-"""Losses from which the search for them starts."""
-_STEP = 0.1
-"""Relative step by which a curvature is measured."""
 
 
 @dataclass(frozen=True)
@@ -71,37 +57,36 @@ def link_of(
     """The better of the two effects on one robot's link; ``gain`` 0 below what is ``noticed``.
 
     With ``both`` the other one is added where it gains as much as is ``noticed`` again, and more
-    than the law of the first one may leave, a share ``law_error`` of its gain.
-
-    ``residuals`` are those of each joint's recordings, ``lags`` and ``least_gain`` as of their
-    ``with_noise``.
+    than the law of the first one may leave, a share ``law_error`` of its gain. ``residuals`` are
+    those of each joint's recordings, ``lags`` and ``least_gain`` as of ``with_noise``.
     """
     joints = [with_noise(of_joint, min(lags, MOST_LAGS), least_gain) for of_joint in residuals]
     samples = sum(joint.count for joint in joints)
-    negligible = DECISION.link.negligible_gain * samples if noticed else 0.0
-    fits = [fit for effect in EFFECTS for fit in fitted(joints, effect)]
+    least = max(noticed, DECISION.link.negligible_gain * samples) if noticed else 0.0
+    fits = [fit for effect in EFFECTS for fit in fitted(joints, (effect,))]
     best = max(fits, key=lambda fit: fit.gain)
-    least = max(noticed, negligible)
     if best.gain < least:
         return IrregularTiming({best.effects[0]: (0.0, np.inf)}, shares=(0.0,) * len(joints))
     if noticed and both:
-        pair = best.with_other()
+        effects = (*best.effects, *(e for e in EFFECTS if e not in best.effects))
+        pair = max(fitted(joints, effects, best), key=lambda fit: fit.gain)
         best = pair if pair.gain > best.gain + max(least, law_error * best.gain) else best
     return best.result()
 
 
-def fitted(joints: Sequence[NoisyJoint], effect: str) -> list[LinkFit]:
-    """Fits of one effect: each joint with packets of its own and, for losses, with common ones."""
-    fits = [LinkFit(joints, (effect,), common=False)]
-    if effect == "packet_loss" and _at_once(joints):
-        fits.append(LinkFit(joints, (effect,), common=True))
-    return fits
+def fitted(
+    joints: Sequence[NoisyJoint], effects: tuple[str, ...], begun: LinkFit | None = None
+) -> list[LinkFit]:
+    """Fits with packets of each joint's own and, for losses of several joints, with common ones.
 
-
-def _at_once(joints: Sequence[NoisyJoint]) -> bool:
-    """Whether set-points are sent to several joints at once."""
+    ``begun`` as of ``LinkFit``, whose packets stay as they are.
+    """
     times = {tuple(s.residual.size for s in joint.segments) for joint in joints}
-    return len(joints) > 1 and len(times) == 1
+    at_once = "packet_loss" in effects and len(joints) > 1 and len(times) == 1
+    kinds = (False, True) if at_once else (False,)
+    if begun is not None and begun.arrivals.loss:
+        kinds = (begun.common,)
+    return [LinkFit(joints, effects, common=common, begun=begun) for common in kinds]
 
 
 class LinkFit:
@@ -130,73 +115,44 @@ class LinkFit:
         self.gain = 0.0
         self.arrivals: Arrivals = Arrivals() if begun is None else begun.arrivals
         if "packet_loss" in effects and not self.arrivals.loss:
-            self.arrivals = replace(
-                self.arrivals, loss=_FIRST_LOSS.loss, repeated_loss=_FIRST_LOSS.repeated_loss
-            )
-        self.noise_models = [joint.noise for joint in joints]
+            self.arrivals = replace(self.arrivals, loss=0.02, repeated_loss=0.1)
+        self.noise_models: Sequence[Noise] = [joint.noise for joint in joints]
         # The filter's log-likelihood counts the squares, that of the noise alone does not.
         alone = sum(joint.refitted(joint.noise)[1] - 0.5 * joint.count for joint in joints)
-        starts = [[_typical(joint) for joint in joints], [_white(joint) for joint in joints]]
+        starts: list[Sequence[Noise]] = list(zip(*map(_guesses, joints), strict=True))
         if begun is not None:
             starts = [begun.noise_models]
         # Noise that is guessed from most samples is too small until it is fitted again.
-        guesses = [
-            self._climb(models, *self._alternated(models, self.arrivals), steps=2)
-            for models in starts
-        ]
+        guesses = [self._climb(models, self.arrivals, steps=2) for models in starts]
         total, arrivals, models = max(guesses, key=lambda guess: guess[0])
         if total < alone:
             return
-        total, arrivals, models = self._climb(models, *self._alternated(models, arrivals), steps=6)
+        total, arrivals, models = self._climb(models, arrivals, steps=6)
         if total > alone:
             self.gain, self.arrivals, self.noise_models = total - alone, arrivals, models
 
-    def with_other(self) -> LinkFit:
-        """The better fit of both effects, begun from this one."""
-        effects = (*self.effects, *(e for e in EFFECTS if e not in self.effects))
-        either = _at_once(self.joints) and not self.arrivals.loss
-        shared = (False, True) if either else (self.common,)
-        pairs = [LinkFit(self.joints, effects, common=x, begun=self) for x in shared]
-        return max(pairs, key=lambda pair: pair.gain)
-
     def _climb(
-        self,
-        models: list[Noise],
-        events: EventFilter,
-        arrivals: Arrivals,
-        results: list[Filtered],
-        steps: int,
-    ) -> tuple[float, Arrivals, list[Noise]]:
+        self, models: Sequence[Noise], arrivals: Arrivals, *, steps: int
+    ) -> tuple[float, Arrivals, Sequence[Noise]]:
         """The best log-likelihood, arrivals and noise models of a few alternations."""
-        best: tuple[float, Arrivals, list[Noise]] = (-np.inf, arrivals, models)
+        best: tuple[float, Arrivals, Sequence[Noise]] = (-np.inf, arrivals, models)
         for step in range(steps):
-            if step:
-                models = self._renewed(models, events, arrivals, results)
-                events, arrivals, results = self._alternated(models, arrivals)
+            events, results = self._filter(models), list[Filtered]()
+            if "packet_loss" in self.effects:
+                arrivals, results = self._losses(events, arrivals)
+            if "latency_jitter" in self.effects:
+                arrivals, results = self._delays(events, arrivals)
             gained = _total(results) - best[0]
             if gained > 0:
                 best = (_total(results), arrivals, models)
-            if gained < DECISION.link.min_gain:
+            if gained < DECISION.link.min_gain or step + 1 == steps:
                 break
+            models = self._renewed(models, events, arrivals, results)
         return best
 
-    def _alternated(
-        self, models: Sequence[Noise], arrivals: Arrivals
-    ) -> tuple[EventFilter, Arrivals, list[Filtered]]:
-        """The filter with these noise models, and the most likely arrivals under it."""
-        events = self._filter(models)
-        results: list[Filtered] = []
-        if "packet_loss" in self.effects:
-            arrivals, results = self._losses(events, arrivals)
-        if "latency_jitter" in self.effects:
-            arrivals, results = self._delays(events, arrivals)
-        return events, arrivals, results
-
     def _filter(self, noise_models: Sequence[Noise]) -> EventFilter:
-        channels = [
-            [channel_of(segment, noise) for segment in joint.segments]
-            for joint, noise in zip(self.joints, noise_models, strict=True)
-        ]
+        pairs = zip(self.joints, noise_models, strict=True)
+        channels = [[x.channel(noise) for x in joint.segments] for joint, noise in pairs]
         if self.common:
             return EventFilter(list(zip(*channels, strict=True)))
         return EventFilter([[channel] for of_joint in channels for channel in of_joint])
@@ -217,40 +173,32 @@ class LinkFit:
         """The best size and correlation of the delays, of a grid that is finer once known."""
 
         def best_of(sizes: Array, correlations: Array) -> tuple[Arrivals, list[Filtered]]:
-            options = [
-                replace(arrivals, delay_sd_s=float(sd), correlation=float(r))
-                for sd in sizes
-                for r in correlations
-            ]
+            pairs = product(sizes.tolist(), correlations.tolist())
+            options = [replace(arrivals, delay_sd_s=sd, correlation=r) for sd, r in pairs]
             width = 8 if arrivals.loss else 1  # histories that are kept
-            pairs = zip(options, events.run(options, width=width), strict=True)
-            return max(pairs, key=lambda pair: _total(pair[1]))
+            results = zip(options, events.run(options, width=width), strict=True)
+            return max(results, key=lambda result: _total(result[1]))
 
-        sizes = _HALFWIDTHS_S / np.sqrt(3)
+        sizes = np.geomspace(2.5e-4, 0.1, 10) / np.sqrt(3)  # from halfwidths
         if arrivals.loss:  # coarser, as many histories of losses take long
             near = arrivals.delay_sd_s * np.geomspace(0.7, 1.4, 3)
             return best_of(near if near.any() else sizes[3:9:2], np.array([arrivals.correlation]))
         if arrivals.delay_sd_s:
-            near = np.unique(np.clip(arrivals.correlation + _CORRELATION_STEPS, 0.0, 0.95))
+            correlations = arrivals.correlation + np.array([-0.2, -0.1, 0.0, 0.1, 0.2])
+            near = np.unique(np.clip(correlations, 0.0, 0.95))
             return best_of(arrivals.delay_sd_s * np.geomspace(0.6, 1.7, 7), near)
         middle = best_of(sizes, np.array([0.5]))
         others = best_of(np.array([middle[0].delay_sd_s]), np.array([0.0, 0.8]))
         return max(middle, others, key=lambda pair: _total(pair[1]))
-
-    def _by_joint(self, values: Sequence[T]) -> list[list[T]]:
-        """Values of the filter's channels, by joint and recording."""
-        if self.common:
-            return [list(values[j :: len(self.joints)]) for j in range(len(self.joints))]
-        remaining = iter(values)
-        return [list(islice(remaining, len(joint.segments))) for joint in self.joints]
 
     def _explained(
         self, events: EventFilter, arrivals: Arrivals, results: Sequence[Filtered]
     ) -> list[tuple[NoisyJoint, Array]]:
         """The joints without the expected deviations, and the covariances of these."""
         deviations = events.expected([x.active for x in results], arrivals)
-        out = []
-        for joint, some in zip(self.joints, self._by_joint(deviations), strict=True):
+        J, taken, out = len(self.joints), iter(deviations), []
+        for j, joint in enumerate(self.joints):
+            some = deviations[j::J] if self.common else list(islice(taken, len(joint.segments)))
             segments = tuple(
                 replace(s, residual=np.where(s.source.trace.used, s.residual - x.mean, 0.0))
                 for s, x in zip(joint.segments, some, strict=True)
@@ -282,17 +230,18 @@ class LinkFit:
         arrivals, events = self.arrivals, self._filter(self.noise_models)
         (results,) = events.run([arrivals])
         explained = self._explained(events, arrivals, results)
-        of_joints = [results] * len(self.joints) if self.common else self._by_joint(results)
-        lost_s = tuple(
-            tuple(
-                segment.source.trace.t[np.setdiff1d(np.arange(x.active.size), x.active)]
-                for segment, x in zip(joint.segments, of_joint, strict=True)
+        taken, lost_s = iter(results), []
+        for joint in self.joints:
+            some = results if self.common else islice(taken, len(joint.segments))
+            lost_s.append(
+                tuple(
+                    s.source.trace.t[np.setdiff1d(np.arange(x.active.size), x.active)]
+                    for s, x in zip(joint.segments, some, strict=True)
+                )
             )
-            for joint, of_joint in zip(self.joints, of_joints, strict=True)
-        )
-        first = self.effects[0]
-        single = len(self.joints) == 1
-        shares = [self] if single else [fitted([joint], first)[0] for joint in self.joints]
+        shares = [self]
+        if len(self.joints) > 1:
+            shares = [LinkFit([x], self.effects[:1], common=False) for x in self.joints]
         return IrregularTiming(
             {effect: self._size(events, effect, results) for effect in self.effects},
             self.gain,
@@ -300,7 +249,7 @@ class LinkFit:
             self.common,
             1 / (1 - arrivals.repeated_loss),
             arrivals.correlation,
-            lost_s,
+            tuple(lost_s),
             tuple(
                 tuple(s.corrected(noise.refit) for s in joint.segments)
                 for (joint, _), noise in zip(explained, self.noise_models, strict=True)
@@ -308,16 +257,16 @@ class LinkFit:
         )
 
     def _size(
-        self, events: EventFilter, effect: str, results: Sequence[Filtered]
+        self, events: EventFilter, effect: str, results: Sequence[Filtered], *, step: float = 0.1
     ) -> tuple[float, float]:
-        """An effect's parameter, and its standard deviation."""
+        """An effect's parameter, and its standard deviation from relative steps of this size."""
         arrivals = self.arrivals
         jitter = effect == "latency_jitter"
         name = "delay_sd_s" if jitter else "loss"
-        factors = np.exp(_STEP * np.array([-1.0, 0.0, 1.0]))
+        factors = np.exp(step * np.array([-1.0, 0.0, 1.0]))
         options = [replace(arrivals, **{name: float(getattr(arrivals, name) * x)}) for x in factors]
         below, here, above = map(_total, events.run(options))
-        curvature = (2 * here - below - above) / _STEP**2
+        curvature = (2 * here - below - above) / step**2
         if curvature <= 0 and not jitter:  # as if it were known which set-points were lost
             curvature = sum(float(x.counts[1] + x.counts[3]) for x in results)
         value = float(arrivals.delay_sd_s * np.sqrt(3) if jitter else arrivals.long_run_loss)
@@ -330,32 +279,16 @@ def _total(results: Sequence[Filtered]) -> float:
     return sum(x.loglikelihood for x in results)
 
 
-def _typical(joint: NoisyJoint) -> Noise:
-    """The noise with the variance of most samples, not of those that events disturb."""
+def _guesses(joint: NoisyJoint) -> tuple[Noise, Noise]:
+    """Noise of the size of most samples, undisturbed by events, and white of third differences."""
     noise = joint.noise
     sizes = [
         np.abs(whitened(s.corrected(noise.refit), noise.model) * s.weight(noise.ratio))[s.counts]
         for s in joint.segments
     ]
-    sd = SD_PER_MEDIAN * float(np.median(np.concatenate(sizes)))
-    return replace(noise, variance=joint.variance(joint.count * sd**2))
-
-
-def _white(joint: NoisyJoint) -> Noise:
-    """White noise of the size of the third differences of the residual."""
-    third = np.concatenate([np.diff(s.residual, 3)[s.counts[3:]] for s in joint.segments])
-    sd = SD_PER_MEDIAN * float(np.median(np.abs(third))) / np.sqrt(20)  # 1 + 9 + 9 + 1
-    variance = joint.variance(joint.count * sd**2)
-    return Noise(np.zeros_like(joint.noise.model), 1.0, variance, np.zeros(3))
-
-
-def channel_of(segment: Segment, noise: Noise) -> Channel:
-    """A recording of a joint as the filter takes it."""
-    of, residual = segment.source, segment.corrected(noise.refit)
-    scale = np.where(segment.counts, np.where(segment.rests, noise.ratio, 1.0), 0.0)
-    if of.trace.spread is not None:
-        scale *= of.trace.spread
-    return Channel(
-        of.trace.t, of.trace.command, of.arrival_s, servo_modes(of), residual, scale, segment.rests,
-        noise.model, noise.variance,
-    )  # fmt: skip
+    third = [np.abs(np.diff(s.residual, 3)[s.counts[3:]]) for s in joint.segments]
+    sd, rough = (SD_PER_MEDIAN * float(np.median(np.concatenate(x))) for x in (sizes, third))
+    usual = joint.variance(joint.count * sd**2)
+    white = joint.variance(joint.count * (rough / np.sqrt(20)) ** 2)  # 1 + 9 + 9 + 1
+    plain = Noise(np.zeros_like(noise.model), 1.0, white, np.zeros(3))
+    return replace(noise, variance=usual), plain

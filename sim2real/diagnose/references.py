@@ -15,9 +15,9 @@ from sim2real.diagnose.contrast import Changes, noise_of
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.effect_probabilities import EffectPosterior, Group
 from sim2real.diagnose.explained import way_of
-from sim2real.diagnose.free_parameters import with_effects
 from sim2real.diagnose.investigate import ROUNDING, Finding, investigate
 from sim2real.diagnose.result import Experiment
+from sim2real.diagnose.screening import with_effects
 from sim2real.diagnose.servo_search import BLOCKS, ServoSearch, plain_sets
 from sim2real.diagnose.unmodelled import unmodelled
 from sim2real.effects import named
@@ -151,7 +151,7 @@ def _not_searched(
     plain = _evaluated(batch, plain_servos(places, np.array(rows), batch.inertia, batch.period))
     cases = plain_sets(plain, [joint.base for joint in joints])
     without = unmodelled(batch, [x.traces for x in joints], joined([t.plain.fit for t in cases]))
-    search = ServoSearch(batch, DECISION.false_alarms / len(joints), rng)
+    search = ServoSearch(batch, joints, DECISION.false_alarms / len(joints), rng)
     return [
         Finding(
             tried=tried,
@@ -162,7 +162,6 @@ def _not_searched(
             unexplained=False,
             groups=(),
             unmodelled=one,
-            unknown=0.0,
             excess=1.0,
             noise=joint.noise,
         )

@@ -1,4 +1,4 @@
-"""What would each effect explain of what a fit leaves: a linear look at all of them at once."""
+"""Effects as candidates: seen linearly, all at once, in what a fit leaves, and free in a fit."""
 
 from __future__ import annotations
 
@@ -11,14 +11,26 @@ import numpy as np
 from sim2real.arrays import Array, Index, Integers, Mask
 from sim2real.effects import CATALOGUE, named
 from sim2real.effects.effect import SHAPES, SIGNED, STRENGTHS, Effect, scaled
-from sim2real.identification.servo_problem import Fits, variants
+from sim2real.identification.servo_problem import Fits, Servos, Set, variants
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.parameters import COLUMNS, CONTROL_SIDE
+from sim2real.servo.parameters import COLUMNS, CONTROL_SIDE, FIRST_EFFECT_COLUMN
 
 FITTED: tuple[Effect, ...] = tuple(e for e in CATALOGUE if e.fitted and not e.never_named)
 """Effects whose parameters a fit finds, and that may be named."""
 NUISANCES: tuple[Effect, ...] = tuple(e for e in CATALOGUE if e.fitted and e.everywhere)
 """What every servo has a little of."""
+SIDE_COLUMNS, BRANCH_COLUMNS = (
+    [k for k, name in enumerate(COLUMNS) if name.rpartition(".")[2] in some]
+    for some in ((CONTROL_SIDE,), (CONTROL_SIDE, "restitution", "step_share"))
+)
+"""Columns of the controller's side, and of all parameters of gear trains and dead bands whose fits
+have a branch at 0 and another one."""
+_SENSOR = {"sensor_gain": "gain", "sensor_offset": "offset_rad"}
+_WAVES = [
+    [COLUMNS.index(f"{effect.name}.{name}_rad") for name in ("period", "phase")]
+    for effect in NUISANCES
+]
+"""Columns of the waves of the angle that every servo has."""
 
 
 @dataclass(frozen=True)
@@ -32,16 +44,11 @@ class Candidate:
     unit: Array  # their natural sizes, shape (K,)
     starts: Array  # values to start from, shape (S, K)
 
-    def branches(self, names: Sequence[str], some: Index) -> Array:
-        """Branches that some of the starts are in, by these parameters, shape (M, N).
-
-        1 where they are above 0; the controller's side is its own branch.
-        """
-        own = [p.name for p in self.effect.parameters]
-        of = [self.starts[some, own.index(x)] if x in own else np.zeros(len(some)) for x in names]
-        sides = [x == CONTROL_SIDE for x in names]
-        values = np.stack(of, axis=1)
-        return np.where(sides, values, values > 0)
+    def branches(self, some: Index) -> Array:
+        """Branches that some of the starts are in, one row each: the side, else whether above 0."""
+        own = np.isin(self.columns, BRANCH_COLUMNS)
+        values = self.starts[some][:, own]
+        return np.where(np.isin(self.columns[own], SIDE_COLUMNS), values, values > 0)
 
 
 def candidate(effect: Effect, kp: float, inertia: float, *, apart: float = 1.5) -> Candidate:
@@ -96,11 +103,7 @@ class Screen:
         return np.asarray(-0.5 * self.count * np.log1p(-share))
 
     def threshold(
-        self,
-        level: float,
-        rng: np.random.Generator,
-        draws: int = 999,
-        starts: Mask | None = None,
+        self, level: float, rng: np.random.Generator, draws: int = 999, starts: Mask | None = None
     ) -> float:
         """Gain that the best of some starts exceeds by chance, with probability ``level``.
 
@@ -135,12 +138,8 @@ def screen(
             theta[n, at : at + len(c.starts), c.columns] = c.starts.T
             at += len(c.starts)
         scale[n, free:at] = 1.0
-    seen = batch.evaluate(
-        Problems(fits.servos.joint, theta, scale),
-        blocks=blocks,
-        deep=free,
-        autoregression=fits.autoregression,
-    )
+    problems = Problems(fits.servos.joint, theta, scale)
+    seen = batch.evaluate(problems, blocks=blocks, deep=free, autoregression=fits.autoregression)
     screens = []
     for n, some in enumerate(candidates):
         counts = [len(c.starts) for c in some]
@@ -166,3 +165,53 @@ def _scores(
     along = gram[:, 0, starts] - gram[:, 0, 1:free] @ taken
     pieces = np.where(seen, -along / (norm * noise), 0.0)
     return pieces.sum(axis=0), pieces, np.where(seen, norm / noise, 0.0)
+
+
+def with_effects(
+    plain: Servos, effects: Set, theta: Array, inertia: float, fixed: Set = frozenset()
+) -> Servos:
+    """A servo whose gains, latency, line and parameters of effects are free, from a row (P,).
+
+    Effects are scaled to the kp of the plain servo and an inertia in kg m2; those that are
+    ``fixed`` stay as they are in ``theta``, and other effects are dropped. The controller's side
+    and a branch at 0 stay as well.
+    """
+    kp = float(plain.theta[0, 0])
+    options = [candidate(named(e), kp, inertia) for e in sorted(effects) if named(e).fitted]
+    row = np.zeros_like(theta)
+    row[:FIRST_EFFECT_COLUMN] = theta[:FIRST_EFFECT_COLUMN]
+    for option in options:
+        row[option.columns] = theta[option.columns]
+    own, added = own_parameters(plain), [x for x in options if x.effect.name not in fixed]
+    columns, unit, low, high = (
+        np.concatenate([getattr(plain, name)[0, own], *(getattr(x, name) for x in added)])
+        for name in ("columns", "unit", "low", "high")
+    )
+    held = np.isin(columns, BRANCH_COLUMNS) & (np.isin(columns, SIDE_COLUMNS) | (row[columns] == 0))
+    free = (x[~held][None] for x in (columns, unit, low, high))
+    return Servos(plain.joint, row[None], *free)
+
+
+def own_parameters(servos: Servos) -> Mask:
+    """Which of one servo's free parameters are no effect's, shape (F,)."""
+    columns = servos.columns[0]
+    return np.asarray((columns >= 0) & (columns < FIRST_EFFECT_COLUMN))
+
+
+def as_read(theta: Array, members: Set) -> Array:
+    """A row (P,) whose waves of the angle are as the sensor shows them, where its errors leave.
+
+    Where a gain or an offset of the sensor is not among the members, what stands for it bends the
+    servo as much. No fit mends a period that is off by some of its waves.
+    """
+    gain, offset = (
+        0.0 if effect in members else theta[COLUMNS.index(f"{effect}.{name}")]
+        for effect, name in _SENSOR.items()
+    )
+    row = theta.copy()
+    for period, phase in _WAVES:
+        if row[period] > 0 and (gain or offset):
+            row[period] *= 1 + gain
+            turned = row[phase] - 2 * np.pi * offset / row[period]
+            row[phase] = (turned + np.pi) % (2 * np.pi) - np.pi
+    return row

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from sim2real.arrays import Array, Index, Mask
+from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
-from sim2real.diagnose.free_parameters import (
+from sim2real.diagnose.screening import (
     BRANCH_COLUMNS,
-    BRANCHES,
     SIDE_COLUMNS,
+    Candidate,
+    Screen,
     as_read,
+    candidates,
     own_parameters,
+    screen,
     with_effects,
 )
-from sim2real.diagnose.screening import Candidate, Screen, candidates, screen
 from sim2real.effects import named
 from sim2real.identification.search import servos_at
 from sim2real.identification.servo_problem import (
@@ -34,13 +37,7 @@ from sim2real.inference.evidence import occam_factor
 from sim2real.inference.parameters import kronecker
 from sim2real.model import JointModel
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.parameters import (
-    BASE,
-    COLUMNS,
-    FIRST_COLUMN,
-    TRAINS,
-    joint_row,
-)
+from sim2real.servo.parameters import BASE, COLUMNS, FIRST_COLUMN, TRAINS, joint_row
 
 Job = tuple[Tried, Set, Array]
 """What was tried on a joint, the set of effects to refit, and the parameters to start from."""
@@ -53,32 +50,26 @@ BLOCKS = 20
 """Blocks of each recording for bootstraps."""
 
 
-@dataclass(frozen=True)
-class SearchLimits:
-    """How far the search for effects goes; gains and evidence are in nats."""
-
-    rivals: int = 10  # sets that are refitted with nothing fixed
-    near: float = 80.0  # how far the evidence of such a set may be behind the best
-    hopeless_gain: float = 1.0  # at first sight, below which the best start is not followed
-    least_visible: float = 3.0  # score of an effect, were it there, from which it would be seen
-    promise: float = 6.0  # times the gain that a fit's quadratic model promises
-    effort: float = 1.0  # multiple of the budget ``DECISION.search_substeps``
-
-
 class ServoSearch:
     """What the search asks of the servos of a batch: see ``selection.Problem``.
 
     Attributes:
+        joints: The joints of the batch, by case.
         fixed: By case, effects whose parameters stay as they are until ``release``.
         singles: Whether every effect by itself is still to be tried.
-        unfinished: Cases whose search was ended by its budget, ``DECISION.search_substeps``.
+        unfinished: Cases whose search was ended by its budget.
     """
 
+    rivals = 10  # sets that are refitted with nothing fixed
+    near = 80.0  # nats by which the evidence of such a set may be behind the best
+    hopeless_gain = 1.0  # nats at first sight, below which the best start is not followed
+    least_visible = 3.0  # score of an effect, were it there, from which it would be seen
+    promise = 6.0  # times the gain that a fit's quadratic model promises
+
     def __init__(
-        self, batch: Batch, level: float, rng: np.random.Generator, effort: float = 1.0
+        self, batch: Batch, joints: Sequence[JointCase], level: float, rng: np.random.Generator
     ) -> None:
-        self.batch, self.level, self.rng = batch, level, rng
-        self.limits = SearchLimits(effort=effort)
+        self.batch, self.joints, self.level, self.rng = batch, tuple(joints), level, rng
         self.fixed: dict[int, Set] = {}
         self.singles = True
         self.unfinished: set[int] = set()
@@ -101,18 +92,11 @@ class ServoSearch:
         Readings that are sampled slowly are those of the last poll, whose age slips by up to a
         period and jumps back: no drift of a clock is told from that.
         """
-        new = {
-            (tried.case, s): (tried, s)
-            for tried, s in pairs
-            if (tried.case, s) not in self._screens
-        }
-        polled = self.batch.period > DECISION.change.slow_sampling_s
+        pairs = [pair for pair in pairs if (pair[0].case, pair[1]) not in self._screens]
+        new = {(tried.case, members): (tried, members) for tried, members in pairs}
+        unknown = {_DRIFT} if self.batch.period > DECISION.change.slow_sampling_s else set[str]()
         lists = [
-            [
-                one
-                for one in candidates(s, *self.strength(tried))
-                if not (polled and one.effect.name == _DRIFT)
-            ]
+            [x for x in candidates(s, *self.strength(tried)) if x.effect.name not in unknown]
             for tried, s in new.values()
         ]
         screens = self.screened([(tried, tried.tried[s]) for tried, s in new.values()], lists)
@@ -148,11 +132,11 @@ class ServoSearch:
         for k, option in enumerate(options):
             mine = np.flatnonzero(seen.candidate == k)
             best = int(mine[seen.gain[mine].argmax()])
-            visible = mine[seen.visible[mine] > self.limits.least_visible]
-            if most is not None or seen.gain[best] > self.limits.hopeless_gain:
+            visible = mine[seen.visible[mine] > self.least_visible]
+            if most is not None or seen.gain[best] > self.hopeless_gain:
                 starts.append(best)
             if most is None:  # branches of an effect's law: fits of their own
-                branch = option.branches(BRANCHES, seen.start[mine])
+                branch = option.branches(seen.start[mine])
                 others = mine[(branch != branch[mine == best]).any(axis=1)]
                 starts += [int(others[seen.gain[others].argmax()])] if others.size else []
             if weakest and visible.size and not option.effect.everywhere:
@@ -172,23 +156,17 @@ class ServoSearch:
     def refit(self, jobs: Sequence[Job], *, free: bool = False) -> list[Hypothesis]:
         """Refit sets of effects from parameter rows; the best of several starts stands for all.
 
-        Starts in different branches of an effect's law (``BRANCHES``) and starts with different
-        gaps are fits of their own: motion across a gap has many minima.
-        A set is given up where its case has a fit that it can't come near. ``free``: nothing is
-        fixed.
+        Starts in different branches of an effect's law and starts with different gaps are fits of
+        their own: motion across a gap has many minima. A set is given up where its case has a fit
+        that it can't come near. ``free``: nothing is fixed.
         """
         if not jobs:
             return []
-        servos = [
-            with_effects(
-                tried.plain.fit.servos,
-                members,
-                as_read(theta, members),
-                self.strength(tried)[1],
-                frozenset() if free else self.fixed.get(tried.case, frozenset()),
-            )
-            for tried, members, theta in jobs
-        ]
+        servos = []
+        for tried, members, theta in jobs:
+            plain, inertia = tried.plain.fit.servos, self.strength(tried)[1]
+            fixed: Set = frozenset() if free else self.fixed.get(tried.case, frozenset())
+            servos.append(with_effects(plain, members, as_read(theta, members), inertia, fixed))
         rough = minimise(self.batch, stacked(servos), iterations=5, blocks=BLOCKS)
         of = [
             (x.case, s, (*(row[BRANCH_COLUMNS] > 0), *row[SIDE_COLUMNS], row[_GAP]))
@@ -202,14 +180,12 @@ class ServoSearch:
         top = {tried.case: float(tried.best.fit.loglikelihood[0]) for tried, _, _ in jobs}
         for (case, *_), fit in zip(sets, fits, strict=True):
             top[case] = max(top[case], float(fit.loglikelihood[0]))
-        goals = np.array(
-            [-np.inf if _GAIN in s else top[case] - self.limits.near for case, s, _ in sets]
-        )
-        reach = np.array([x.loglikelihood[0] + self.limits.promise * _promised(x) for x in fits])
+        goals = np.array([-np.inf if _GAIN in s else top[case] - self.near for case, s, _ in sets])
+        reach = np.array([x.loglikelihood[0] + self.promise * _promised(x) for x in fits])
         left = np.flatnonzero(~rough.converged[first] & (reach > goals))
 
         def hopeless(places: Index, _: Array, losses: Array, promised: Array) -> Mask:
-            reachable = self.limits.promise * promised - losses[places]
+            reachable = self.promise * promised - losses[places]
             return np.asarray(reachable < goals[left][places])
 
         if left.size:
@@ -239,26 +215,20 @@ class ServoSearch:
     def compared(self, tried: Tried) -> list[Hypothesis]:
         """The sets that are compared: the best, the best without each effect, its rivals."""
         best = tried.best
-        scaled, least = _GAIN in best.members, best.evidence - self.limits.near
-        near = sorted(tried.tried.values(), key=lambda h: -h.evidence)[: self.limits.rivals]
+        scaled, least = _GAIN in best.members, best.evidence - self.near
+        near = sorted(tried.tried.values(), key=lambda h: -h.evidence)[: self.rivals]
         sets = [h.members for h in near if h.evidence > least or (_GAIN in h.members) != scaled]
         sets += [tried.base, *(best.members - {e} for e in best.members - tried.base)]
         return [tried.tried[s] for s in dict.fromkeys(sets) if s in tried.tried]
 
     def remains(self, tried: Tried, members: Set) -> bool:
-        """Whether some effect would still explain more than chance.
-
-        What every servo has a little of must explain as much as is never left to chance.
-        """
+        """Whether an effect explains more than chance, or a nuisance more than is ever chance."""
         gain, limit = self.remaining_gain(tried, members)
         largest = float(self.seen(tried, members)[0].gain.max())
         return gain > limit or largest > DECISION.decisive_gain
 
     def remaining_gain(self, tried: Tried, members: Set) -> tuple[float, float]:
-        """Largest gain that an effect would still make, and what chance would make.
-
-        What every servo has a little of does not count: it is named only where it is large.
-        """
+        """Largest gain that an effect, but no nuisance, would still make, and that of chance."""
         seen, options = self.seen(tried, members)
         counted = np.array([not option.effect.everywhere for option in options])[seen.candidate]
         limit = min(seen.threshold(self.level, self.rng, starts=counted), DECISION.decisive_gain)
@@ -270,7 +240,7 @@ class ServoSearch:
         The budget is counted in sub-steps of rollouts, so that no answer depends on the machine.
         """
         spent = self.batch.substeps[tried.case] - self.spent_before[tried.case]
-        if spent > self.limits.effort * DECISION.search_substeps:
+        if spent > max(joint.effort for joint in self.joints) * DECISION.search_substeps:
             self.unfinished.add(tried.case)
         return tried.case in self.unfinished
 

@@ -10,10 +10,9 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
-from sim2real.diagnose.free_parameters import with_effects
 from sim2real.diagnose.gear_trains import of_inertia
 from sim2real.diagnose.rival_sets import StatedSet
-from sim2real.diagnose.screening import NUISANCES
+from sim2real.diagnose.screening import NUISANCES, with_effects
 from sim2real.diagnose.servo_search import BLOCKS, ServoSearch, evidence_of
 from sim2real.effects import named
 from sim2real.identification.problem import ServoProblem
@@ -34,37 +33,33 @@ from sim2real.servo.parameters import COLUMNS, LINE_COLUMNS, stated
 from sim2real.servo.trace import Trace
 
 _SET_POINT_SPEED = COLUMNS.index("rate_limit.limit_rad_s")
-_LARGER = np.linspace(1.0, 2.0, 26)
 _ROTORS = 0.05, 0.2, 0.4
 """Inertia of rotors over that of the load to start from, where torques may show it."""
-_RIVALS = 6
-"""Further effects with which a limit of the motor competes."""
 
 
 def with_limits(
-    search: ServoSearch, joints: Sequence[JointCase], tried: Sequence[Tried]
+    search: ServoSearch, tried: Sequence[Tried], *, rivals: int = 6
 ) -> dict[int, JointCase]:
     """Joints that reach their motor's limit, with a plain model that has it.
 
     The limit is a line of torque and speed, or flat: the data sheet's torque at any speed. A line
-    may have a lower limit of current as well: an effect, tried by the search. The limit competes
-    with the effects of the catalogue: it joins what explains each joint best at first sight, or
-    stands in for one of its effects, and is there where no further effect explains more. Where slow
-    errors are part of the noise it is an effect like others, found by the search: little of what
-    tells it from a limited set-point shows at first sight.
+    may have a lower limit of current as well: an effect, tried by the search. The limit joins what
+    explains each joint best at first sight, or stands in for one of its effects, and is there where
+    none of ``rivals`` further effects explains more. Where slow errors are part of the noise it is
+    an effect like others: little of what tells it from a limited set-point shows at first sight.
     """
     limited: dict[int, JointCase] = {}
-    for joint, known in zip(joints, tried, strict=True):
-        row = known.best.fit.servos.theta[0]
+    for known in tried:
+        joint, row = search.joints[known.case], known.best.fit.servos.theta[0]
         open_to_all = joint.references or joint.base or joint.traces[0].slow is not None
         if open_to_all or joint.stall_Nm is None or row[LINE_COLUMNS].any():
             continue
-        limit = _better_limit(search, joint, known)
+        limit = _better_limit(search, known)
         if limit is not None and known.best.members != known.base:
             best = known.best
-            further = search.additions(known, best.members, _RIVALS)
+            further = search.additions(known, best.members, rivals)
             search.try_all([(known, best.members | {name}, start) for name, start in further])
-            limit = limit if known.best is best else _better_limit(search, joint, known)
+            limit = limit if known.best is best else _better_limit(search, known)
         if limit is None:
             continue
         law: Law = "motor"
@@ -82,25 +77,21 @@ def with_limits(
     return limited
 
 
-def _better_limit(search: ServoSearch, joint: JointCase, tried: Tried) -> Hypothesis | None:
+def _better_limit(search: ServoSearch, tried: Tried) -> Hypothesis | None:
     """The best limit with the best set of effects, or in place of one of them, if it is better."""
     best = tried.best
     alike = [e for e in best.members - tried.base if named(e).site in ("command", "motor")]
-    limits = [
-        limit
-        for members in (best.members, *(best.members - {e} for e in alike))
-        for limit in _limits(search, joint, tried, members)
-    ]
+    sets = [best.members, *(best.members - {e} for e in alike)]
+    limits = [limit for members in sets for limit in _limits(search, tried, members)]
     limit = max(limits, key=lambda one: one.evidence)
     without = tried.tried.get(limit.members - {SATURATION}, tried.plain)
     least = max(best.evidence, without.evidence + DECISION.decisive_gain)
     return limit if limit.evidence > least else None
 
 
-def _limits(
-    search: ServoSearch, joint: JointCase, tried: Tried, members: Set
-) -> Iterator[Hypothesis]:
+def _limits(search: ServoSearch, tried: Tried, members: Set) -> Iterator[Hypothesis]:
     """Fits of a joint's effects together with a limit of its motor."""
+    joint = search.joints[tried.case]
     assert joint.servo is not None and joint.stall_Nm is not None
     line = tried.best.fit.servos.theta[0].copy()
     line[LINE_COLUMNS] = joint.stall_Nm, joint.servo.no_load_speed_rad_s
@@ -141,8 +132,9 @@ def with_stated_line(
     known = row[LINE_COLUMNS].any() or row[_SET_POINT_SPEED] > 0
     if known or traces[0].load is PER_INERTIA:
         return row
-    rows = np.tile(row, (1 + _LARGER.size, 1))
-    rows[1:, LINE_COLUMNS[0]] = servo.max_torque_Nm * _LARGER
+    larger = np.linspace(1.0, 2.0, 26)
+    rows = np.tile(row, (1 + larger.size, 1))
+    rows[1:, LINE_COLUMNS[0]] = servo.max_torque_Nm * larger
     rows[1:, LINE_COLUMNS[1]] = servo.no_load_speed_rad_s
     residuals = ServoProblem(traces, rows[1], ()).row_residuals(rows)
     squares = np.sum(residuals**2, axis=1)

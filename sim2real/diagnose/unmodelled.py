@@ -1,9 +1,8 @@
 """Where and when something is missing, and whether it is in the catalogue at all.
 
-Could any smooth function of one state explain what a fit leaves? The servo is linearised about its
-own motion: a torque on the shaft moves the angle through 1 / (I s2 + kd s + kp + gravity). Families
-of such torques, or of errors of the sensor, are fitted by least squares together with the gains and
-the noise model.
+Could any smooth function of one state explain what a fit leaves? Families of torques, which move
+the linearised servo through 1 / (I s2 + kd s + kp + gravity), or of errors of the sensor are fitted
+by least squares together with the gains and the noise model.
 """
 
 from __future__ import annotations
@@ -26,7 +25,6 @@ from sim2real.inference.correlated_noise import (
     lag_products,
     whitened,
 )
-from sim2real.inference.evidence import chance_gain
 from sim2real.inference.segments import Window, inside, robust_sd, windows
 from sim2real.progress import shared
 from sim2real.servo.batch import Batch
@@ -84,11 +82,11 @@ class ServoMotion:
     def gain_torques(self) -> list[Array]:
         """Torques equivalent to a change of kp, kd and latency, per unit of each, (T, 3) each."""
         torques = []
-        for trace, angle in ((m.trace, m.angle) for m in self.motions):
-            t, ratio = trace.t, trace.gain_factor
-            in_force = np.interp(t + trace.sample_delay_s - self.latency, t, trace.command)
-            parts = [in_force - angle, np.gradient(angle, t), self.kp * np.gradient(in_force, t)]
-            torques.append(np.stack(parts, axis=1) * [ratio, 1.0, ratio])
+        for m in self.motions:
+            t, ratio = m.trace.t, m.trace.gain_factor
+            in_force = np.interp(t + m.trace.sample_delay_s - self.latency, t, m.trace.command)
+            rates = np.gradient(m.angle, t), self.kp * np.gradient(in_force, t)
+            torques.append(np.stack([in_force - m.angle, *rates], axis=1) * [ratio, 1.0, ratio])
         return torques
 
     @cached_property
@@ -98,9 +96,8 @@ class ServoMotion:
 
     def angles(self, torques: Sequence[Array]) -> Array:
         """Angles by which torques (T, K) in each recording move the servo, shape (N, K)."""
-        return np.vstack(
-            [lfilter(*f, x, axis=0) for x, f in zip(torques, self.filters, strict=True)]
-        )
+        pairs = zip(self.filters, torques, strict=True)
+        return np.vstack([lfilter(*f, x, axis=0) for f, x in pairs])
 
     def fit(self, columns: Array, model: Array | None, *, rounds: int = 2) -> tuple[float, Array]:
         """Log-likelihood with gains, columns (N, K) and noise model at their best; the model."""
@@ -113,9 +110,8 @@ class ServoMotion:
             size = np.sqrt((white[:, 1:] ** 2).sum(axis=0)) + 1e-30
             design = white[:, 1:] / size
             normal = design.T @ design + 1e-8 * np.eye(design.shape[1])
-            left = self.residual - columns @ (
-                np.linalg.solve(normal, design.T @ white[:, 0]) / size
-            )
+            solution = np.linalg.solve(normal, design.T @ white[:, 0])
+            left = self.residual - columns @ (solution / size)
             model = self._noise_model(left)
             innovation = self.whitened(left[:, None], model)
             level = -0.5 * len(innovation) * float(np.log(np.mean(innovation**2)))
@@ -129,11 +125,10 @@ class ServoMotion:
 
     def whitened(self, columns: Array, model: Array) -> Array:
         """Innovations of columns (N, K) at the samples that count."""
-        parts = [
-            whitened(m.trace.standardised(x), model, axis=0)[m.counts]
-            for m, x in self.by_motion(columns)
-        ]
-        return np.vstack(parts)
+        parts = self.by_motion(columns)
+        return np.vstack(
+            [whitened(m.trace.standardised(x), model, axis=0)[m.counts] for m, x in parts]
+        )
 
     def by_motion(self, values: Array) -> Iterator[tuple[JointMotion, Array]]:
         """The recordings, each with its part of values (N, ...)."""
@@ -141,31 +136,24 @@ class ServoMotion:
         return zip(self.motions, np.split(values, cuts), strict=True)
 
     def _noise_model(self, residual: Array) -> Array:
-        products = np.sum(
-            [
-                lag_products(m.trace.standardised(x), m.counts, self.lags)
-                for m, x in self.by_motion(residual)
-            ],
-            axis=0,
-        )
-        return np.asarray(autoregression(products[None], self.least_gain)[0])
+        parts = self.by_motion(residual)
+        of = [lag_products(m.trace.standardised(x), m.counts, self.lags) for m, x in parts]
+        return np.asarray(autoregression(np.sum(of, axis=0)[None], self.least_gain)[0])
 
 
 @dataclass(frozen=True)
 class Smooth:
     """The best smooth function of one state."""
 
-    # ``position``, ``speed``, ``error``, ``time``, ``shaking``, ``other_joint``, ``sensor`` or
-    # ``jump``
-    state: str
+    state: str  # its name, see ``_families``, or ``shaking`` or ``jump``
     gain: float  # log-likelihood that it gains over the plain servo, the noise model at its best
     unknowns: int  # number of coefficients, the frequency of a line among them
     jumps_s: tuple[float, ...]  # instant of the most probable jump in each recording
     shares: dict[str, float]  # for each state its gain over the plain servo, less half its unknowns
 
     def evidence(self, count: float) -> float:
-        """Evidence against the plain servo's."""
-        return self.gain - chance_gain(self.unknowns, count)
+        """Evidence against the plain servo's: Schwarz, Ann. Stat. 6 (1978) 461."""
+        return self.gain - 0.5 * self.unknowns * float(np.log(count))
 
 
 @dataclass(frozen=True)
@@ -190,8 +178,7 @@ def unmodelled(batch: Batch, joints: Sequence[Sequence[Trace]], plain: Fits) -> 
     for j, (kp, kd, latency) in enumerate(plain.servos.theta[:, :3].tolist()):
         suspect = excesses[j] > DECISION.noise_like_excess
         motions = _motions(batch, joints, residuals, j)
-        servo = ServoMotion(motions, kp, kd, latency, batch.least_gain, batch.lags, suspect)
-        servos.append(servo)
+        servos.append(ServoMotion(motions, kp, kd, latency, batch.least_gain, batch.lags, suspect))
         fit = plain[np.array([j])]
         separate.append(_intermittent(batch, joints[j], fit, residuals[j]) if suspect else _NOWHERE)
     found = zip(excesses, shared(smooth_function, servos), separate, strict=True)
@@ -233,15 +220,21 @@ def _intermittent(
     batch: Batch, traces: Sequence[Trace], plain: Fits, residual: Array, *, rounds: int = 3
 ) -> tuple[Windows | None, float]:
     """Windows outside which the plain servo of a joint fits, and their evidence."""
-    found: Windows | None = None
+    found: Windows = ((),) * len(traces)
     left, gain = residual, 0.0
     for _ in range(rounds):
-        found = _windows(left, traces, found)
+        rows = measured_only(left, traces)
+        within = [inside(t.t, of_trace) for t, of_trace in zip(traces, found, strict=True)]
+        sd = robust_sd(np.concatenate(rows), np.concatenate(within))
+        found = tuple(windows(t.t, row, sd) for t, row in zip(traces, rows, strict=True))
         seconds = sum(b - a for of_trace in found for a, b in of_trace)
         most = DECISION.segments_share * sum(t.duration_s for t in traces)
         if not any(found) or seconds >= most:
             return _NOWHERE
-        kept = [_without(t, w) for t, w in zip(traces, found, strict=True)]
+        kept = []
+        for trace, segments in zip(traces, found, strict=True):
+            wider = tuple((a - 0.1, b + 0.3) for a, b in segments)
+            kept.append(replace(trace, used=trace.used & ~inside(trace.t, wider)))
         outside = Batch([kept])
         white = minimise(outside, plain.servos.of_joints([0]), iterations=8, white=True)
         fit = minimise(outside, white.servos, iterations=8)
@@ -251,30 +244,14 @@ def _intermittent(
         gain = float(-0.5 * np.log(square) * plain.count[0] - plain.loglikelihood[0])
         left = residual_angles(batch, fit.of_joints(plain.servos.joint.tolist()))[0]
     # Each segment must earn as much as is never left to chance, and so must each second of it.
-    costs = [1 + b - a for of_trace in found or () for a, b in of_trace]
+    costs = [1 + b - a for of_trace in found for a, b in of_trace]
     return found, gain - DECISION.decisive_gain * sum(costs)
-
-
-def _windows(residual: Array, traces: Sequence[Trace], before: Windows | None) -> Windows:
-    """Segments of a residual (R, T) beyond the spread outside those of before."""
-    rows = measured_only(residual, traces)
-    masks = [
-        inside(t.t, before[k]) if before else np.zeros(t.t.size, dtype=bool)
-        for k, t in enumerate(traces)
-    ]
-    sd = robust_sd(np.concatenate(rows), np.concatenate(masks))
-    return tuple(windows(t.t, row, sd) for t, row in zip(traces, rows, strict=True))
 
 
 def measured_only(residual: Array, traces: Sequence[Trace]) -> list[Array]:
     """Standardised residuals (R, T) of the recordings, NaN where not used, (T,) each."""
     pairs = zip(residual, traces, strict=False)
     return [np.where(t.used, t.standardised(r[: t.t.size]), np.nan) for r, t in pairs]
-
-
-def _without(trace: Trace, segments: tuple[Window, ...]) -> Trace:
-    wider = tuple((a - 0.1, b + 0.3) for a, b in segments)
-    return replace(trace, used=trace.used & ~inside(trace.t, wider))
 
 
 def _motions(

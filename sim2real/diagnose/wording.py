@@ -10,9 +10,9 @@ import numpy as np
 from sim2real.diagnose.case import Case
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.joint_result import JointFindings
+from sim2real.diagnose.located import remainder
 from sim2real.diagnose.open_sets import rival_sets, set_probabilities
 from sim2real.diagnose.references import repeat
-from sim2real.diagnose.remainder import remainder
 from sim2real.diagnose.result import (
     DetectionLimit,
     Diagnosis,

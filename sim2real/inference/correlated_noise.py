@@ -13,9 +13,6 @@ import numpy as np
 
 from sim2real.arrays import Array, Mask
 
-MEMORY_S = 0.5
-"""Time span of the autoregression of the noise."""
-FEWEST_LAGS, MOST_LAGS = 4, 25
 _FIXED_B = (
     (0.80, 1.2816, 1.3040, 0.5135, -0.3386),
     (0.90, 1.6449, 2.1859, 0.3142, -0.3427),
@@ -76,9 +73,9 @@ class SlowErrors:
         return np.concatenate([sizes**2, np.exp(-period_s / times)])
 
 
-def lags(period_s: float) -> int:
+def lags(period_s: float, *, memory_s: float = 0.5, fewest: int = 4, most: int = 25) -> int:
     """Number of coefficients of the autoregression for this time between samples."""
-    return int(np.clip(round(MEMORY_S / period_s), FEWEST_LAGS, MOST_LAGS))
+    return int(np.clip(round(memory_s / period_s), fewest, most))
 
 
 def counting(used: Mask, order: int) -> Mask:

@@ -1,4 +1,4 @@
-"""Terms of the log-evidence of a fit: profile likelihood, Occam factor, expected chance gain."""
+"""Terms of the log-evidence of a fit."""
 
 from __future__ import annotations
 
@@ -28,11 +28,6 @@ def occam_factor(information: Array, prior_sd: float, nuisance: int = 0) -> Arra
     marginal = normal - np.einsum("nfa,nfg,ngb->nab", cross, inverse, cross)
     matrix = np.eye(marginal.shape[1]) + prior_sd**2 * marginal
     return np.asarray(0.5 * np.linalg.slogdet(matrix)[1])
-
-
-def chance_gain(parameters: int, count: float) -> float:
-    """Expected gain of log-likelihood by chance: Schwarz, Ann. Stat. 6 (1978) 461."""
-    return 0.5 * parameters * float(np.log(count))
 
 
 def student(score2: ArrayLike, references: float) -> Array:

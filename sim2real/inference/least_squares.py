@@ -1,8 +1,4 @@
-"""Levenberg-Marquardt minimisation of many bounded problems at once.
-
-A problem provides loss, gradient and curvature at given points (``Expansion``), for any number of
-problems in one call.
-"""
+"""Levenberg-Marquardt minimisation of many bounded problems at once."""
 
 from __future__ import annotations
 
@@ -13,14 +9,10 @@ import numpy as np
 
 from sim2real.arrays import Array, Index, Mask
 
-SETTLED = 0.02
-"""Expected gain in log-likelihood below which a search ends."""
 OUTLIER_SD = 3.0
 """Residuals beyond this number of standard deviations are down-weighted."""
 _DAMPING = 1e-6, 1e6
 """Smallest damping, and damping above which a search ends."""
-_LARGEST_STEP = 3.0
-"""Longest step of a parameter, in units."""
 
 
 @dataclass(frozen=True)
@@ -34,18 +26,14 @@ class Expansion:
 
     def replace(self, rows: Index, new: Expansion, chosen: Mask | slice = slice(None)) -> None:
         """Replace the rows (M,), in place, by the M chosen rows of another expansion."""
-        pairs = zip(self._arrays(), new._arrays(), strict=True)
-        for target, source in pairs:
-            target[rows] = source[chosen]
-
-    def _arrays(self) -> list[Array]:
-        return [self.loss, self.slope, self.curvature, *self.aside.values()]
+        for name in ("loss", "slope", "curvature"):
+            getattr(self, name)[rows] = getattr(new, name)[chosen]
+        for name, values in self.aside.items():
+            values[rows] = new.aside[name][chosen]
 
 
 Expand = Callable[[Array, Index], Expansion]
 """Function from points (M, F), in units, of the problems ``index`` (M,) to their expansions."""
-
-
 Hopeless = Callable[[Index, Array, Array, Array], Mask]
 """Function from the active problems (M,), the points (N, F) and losses (N,) of all, and the gain
 that each active one expects of an undamped step (M,), to a mask of those to stop (M,)."""
@@ -68,7 +56,7 @@ def minimise(
     *,
     free: Mask | None = None,
     evaluations: int = 40,
-    settled: float = SETTLED,
+    settled: float = 0.02,
     hopeless: Hopeless | None = None,
     losses: Callable[[Array, Index], Array] | None = None,
     look_every: int = 4,
@@ -125,9 +113,11 @@ def _step(
     free: Mask,
     damping: Array,
     rows: Index,
+    *,
+    longest_step: float = 3.0,
     doublings: int = 60,
 ) -> tuple[Array, Array]:
-    """Next step of each problem, shape (M, F), and its expected gain, shape (M,)."""
+    """Next step of each problem in units, shape (M, F), and its expected gain, shape (M,)."""
     x, low, high = best[rows], box[0][rows], box[1][rows]
     slope, normal = current.slope[rows], current.curvature[rows]
     held = ~free[rows]
@@ -147,7 +137,7 @@ def _step(
         slopes, at = slope[todo], x[todo]
         move = _solved(matrix[todo], np.where(moving[todo], -slopes, 0.0))
         longest = np.abs(move).max(axis=1, initial=0.0, keepdims=True)
-        move *= np.minimum(1.0, _LARGEST_STEP / np.maximum(longest, 1e-300))
+        move *= np.minimum(1.0, longest_step / np.maximum(longest, 1e-300))
         # Rounding may leave a held parameter outside its bound, by what no damping shrinks.
         move = np.where(moving[todo], np.clip(at + move, low[todo], high[todo]) - at, 0.0)
         expected = -np.einsum("nf,nf->n", slopes, move)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,27 +11,16 @@ from sim2real.arrays import Array, Index, Mask
 
 Window = tuple[float, float]
 
-LARGER = 5.0
-"""Standard deviation inside a window, relative to that outside."""
-EDGE_COST = 12.0
-"""Penalty of the log-likelihood for each edge of a window."""
-SHORTEST_S = 0.1
 
+class MotionPart(NamedTuple):
+    """A part of a motion."""
 
-@dataclass(frozen=True)
-class MotionPart:
-    """A part of a motion, and its shares of squared residuals and of time."""
-
-    words: str  # "at speeds above 0.2 m/s"
+    text: str  # "72 % of it at speeds above 0.2 m/s, in 50 % of the time"
     advice: str  # what to record to learn more
-    share: float  # of the squared residuals
-    time: float  # of the samples
 
     def __str__(self) -> str:
-        """The part with its shares."""
-        return (
-            f"{100 * self.share:.0f} % of it {self.words}, in {100 * self.time:.0f} % of the time"
-        )
+        """The part with its shares of squared residuals and of time."""
+        return self.text
 
 
 def most_uneven(
@@ -49,7 +38,8 @@ def most_uneven(
         p, q = float(square[mask].sum()) / total, float(mask.mean())
         if p > q > 0:
             rest = (1 - p) * np.log((1 - p) / (1 - q)) if p < 1 else 0.0
-            found[p * np.log(p / q) + rest] = MotionPart(words, advice, p, q)
+            text = f"{100 * p:.0f} % of it {words}, in {100 * q:.0f} % of the time"
+            found[p * np.log(p / q) + rest] = MotionPart(text, advice)
     most = max(found, default=0.0)
     return found[most] if most >= least else None
 
@@ -62,16 +52,19 @@ def robust_sd(residual: Array, inside: Mask) -> float:
     return float(np.median(np.abs(outside)) / 0.6745)
 
 
-def windows(t: Array, residual: Array, sd: float) -> tuple[Window, ...]:
+def windows(
+    t: Array, residual: Array, sd: float, *, larger: float = 5.0, shortest_s: float = 0.1
+) -> tuple[Window, ...]:
     """Beginning and end in s of windows in which the residual (T,) exceeds its noise ``sd``.
 
     The most likely path of a hidden Markov model with a quiet and a loud state (Viterbi, IEEE
-    Transactions on Information Theory 13 (1967) 260-269). A residual is NaN where none is known.
+    Transactions on Information Theory 13 (1967) 260-269), in which the standard deviation is
+    ``larger`` times that outside. A residual is NaN where none is known.
     """
     z2 = np.where(np.isfinite(residual), (residual / sd) ** 2, 0.0)
-    score = 0.5 * z2 * (1 - LARGER**-2) - np.log(LARGER)
+    score = 0.5 * z2 * (1 - larger**-2) - np.log(larger)
     segments = [(float(t[a]), float(t[b - 1])) for a, b in runs(_most_likely_path(score))]
-    return tuple((a, b) for a, b in segments if b - a >= SHORTEST_S)
+    return tuple((a, b) for a, b in segments if b - a >= shortest_s)
 
 
 def runs(mask: Mask) -> Index:
@@ -87,15 +80,15 @@ def inside(t: Array, windows: tuple[Window, ...]) -> Mask:
     return mask
 
 
-def _most_likely_path(score: Array) -> Mask:
+def _most_likely_path(score: Array, edge_cost: float = 12.0) -> Mask:
     """Whether the most likely state is the loud one, from log-likelihood ratios (T,)."""
-    quiet, loud = 0.0, -EDGE_COST
+    quiet, loud = 0.0, -edge_cost
     from_loud, from_quiet = (np.zeros(score.size, dtype=bool) for _ in range(2))
     for k, x in enumerate(score.tolist()):
-        from_loud[k] = loud - EDGE_COST > quiet
-        from_quiet[k] = quiet - EDGE_COST > loud
-        quiet, loud = max(quiet, loud - EDGE_COST), max(loud, quiet - EDGE_COST) + x
-    state, path = loud - EDGE_COST > quiet, np.zeros(score.size, dtype=bool)
+        from_loud[k] = loud - edge_cost > quiet
+        from_quiet[k] = quiet - edge_cost > loud
+        quiet, loud = max(quiet, loud - edge_cost), max(loud, quiet - edge_cost) + x
+    state, path = loud - edge_cost > quiet, np.zeros(score.size, dtype=bool)
     for k in range(score.size - 1, -1, -1):
         path[k] = state
         state = not from_quiet[k] if state else from_loud[k]

@@ -1,7 +1,6 @@
 """Subset selection by forward and swap steps, in which every set of candidates is refitted.
 
-A ``Problem`` refits sets of candidates and proposes additions to them. Many cases (joints, robots)
-are searched together, so that a problem can share launches between them.
+Many cases (joints, robots) are searched together, so that a problem can share launches.
 """
 
 from __future__ import annotations
@@ -51,16 +50,6 @@ class Ledger(Generic[Fit]):
         if previous is None or hypothesis.evidence > previous.evidence:
             self.tried[hypothesis.members] = hypothesis
 
-    def closest(self, most: int, within: float) -> list[Hypothesis[Fit]]:
-        """The best hypothesis and its closest rivals of the same size, best first."""
-        best = self.best
-        rivals = [
-            h
-            for h in self.tried.values()
-            if len(h.members) == len(best.members) and h.evidence > best.evidence - within
-        ]
-        return sorted(rivals, key=lambda h: -h.evidence)[:most]
-
 
 Pair = tuple[Ledger[Fit], Members]
 """A case and a set of candidates."""
@@ -108,17 +97,17 @@ def select(
     exhausted: Callable[[Ledger[Fit]], bool] = lambda ledger: False,
 ) -> None:
     """Try sets of candidates in each case until none is better, or its budget is ``exhausted``."""
-    problem.look([(ledger, ledger.base) for ledger in ledgers])
+    problem.look([(x, x.base) for x in ledgers])
     _refit(problem, [job for x in ledgers for job in _enlarged(problem, x, x.base, None)])
-    active = [ledger for ledger in ledgers if problem.remains(ledger, ledger.base)]
+    active = [x for x in ledgers if problem.remains(x, x.base)]
     for number in range(1, breadth.most):
         progress(number / breadth.most)
-        active = [ledger for ledger in active if not exhausted(ledger)]
+        active = [x for x in active if not exhausted(x)]
         if not active:
             break
-        before = {ledger.case: ledger.best.members for ledger in active}
+        before = {x.case: x.best.members for x in active}
         _extend(problem, active, breadth)
-        active = [ledger for ledger in active if ledger.best.members != before[ledger.case]]
+        active = [x for x in active if x.best.members != before[x.case]]
     progress(1.0)
 
 
@@ -128,41 +117,30 @@ def widen(
     """Try every candidate with the best set of each case, up to ``most``, until none is better."""
     active = list(ledgers)
     while active:
-        before = {ledger.case: ledger.best.members for ledger in active}
-        problem.look([(ledger, ledger.best.members) for ledger in active])
+        before = {x.case: x.best.members for x in active}
+        problem.look([(x, x.best.members) for x in active])
         jobs = [job for x in active for job in _enlarged(problem, x, x.best.members, None)]
         _refit(problem, jobs)
-        active = [
-            ledger
-            for ledger in active
-            if ledger.best.members != before[ledger.case]
-            and len(ledger.best.members - ledger.base) < most
-        ]
+        active = [x for x in active if x.best.members != before[x.case]]
+        active = [x for x in active if len(x.best.members - x.base) < most]
 
 
 def _extend(problem: Problem[Fit, Start], ledgers: Sequence[Ledger[Fit]], breadth: Breadth) -> None:
     """Add to the best sets, remove one or two of their members, and replace these."""
-    larger = [
-        (ledger, hypothesis.members)
-        for ledger in ledgers
-        for hypothesis in ledger.closest(breadth.rivals, breadth.within)
-    ]
-    smaller = [
-        (ledger, ledger.best.members - set(out))
-        for ledger in ledgers
-        for count in (1, 2)
-        for out in combinations(sorted(ledger.best.members - ledger.base, key=str), count)
-    ]
-    missing = [(x, s, problem.start(x, s)) for x, s in smaller if s not in x.tried]
-    _refit(problem, missing)
+    larger: list[Pair[Fit]] = []
+    smaller: list[Pair[Fit]] = []
+    for x in ledgers:
+        best, near = x.best, x.best.evidence - breadth.within
+        rivals = [h for h in x.tried.values() if len(h.members) == len(best.members)]
+        rivals = sorted((h for h in rivals if h.evidence > near), key=lambda h: -h.evidence)
+        larger += [(x, h.members) for h in rivals[: breadth.rivals]]
+        for count in (1, 2):
+            fewer = combinations(sorted(best.members - x.base, key=str), count)
+            smaller += [(x, best.members - set(out)) for out in fewer]
+    _refit(problem, [(x, s, problem.start(x, s)) for x, s in smaller if s not in x.tried])
     problem.look([*larger, *smaller])
-    jobs = [
-        job
-        for ledger, members in larger
-        if len(members - ledger.base) < breadth.most and problem.remains(ledger, members)
-        for job in _enlarged(problem, ledger, members, breadth.added)
-    ]
-    jobs += [job for x, s in smaller for job in _enlarged(problem, x, s, breadth.added)]
+    larger = [(x, s) for x, s in larger if len(s - x.base) < breadth.most and problem.remains(x, s)]
+    jobs = [job for x, s in (*larger, *smaller) for job in _enlarged(problem, x, s, breadth.added)]
     _refit(problem, [job for job in jobs if job[1] not in job[0].tried])
 
 

@@ -18,20 +18,14 @@ Quantiles = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class VarianceComponents:
-    """Posterior of ``value = mean + group + member + error``, all but the mean normal.
+    """Posterior of ``value = mean + group + member + error``, all but the mean normal."""
 
-    Attributes:
-        mean: Mean of all groups.
-        between: Standard deviation between groups, including that within them where no group has
-            two members; None for one group.
-        within: Standard deviation within groups; None where no group has two members.
-        new: A further member of a further group, or of the only group.
-    """
-
-    mean: Quantiles
+    mean: Quantiles  # of all groups
+    # standard deviation between groups, including that within them where no group has two members;
+    # None for one group
     between: Quantiles | None
-    within: Quantiles | None
-    new: Quantiles
+    within: Quantiles | None  # the same within groups; None where no group has two members
+    new: Quantiles  # a further member of a further group, or of the only group
 
 
 def variance_components(
@@ -48,7 +42,6 @@ def variance_components(
     Errors are independent, or in part those of all estimates, as of a law that leaves something
     out: ``own`` has the probability of each share of the standard deviation that is each estimate's
     own. The rest shows in no difference, and widens the intervals of the mean and of a new member.
-
     The mean has a flat prior and is integrated out; the standard deviations have the reference
     prior of Bodnar and others (Statistics in Medicine 36, 2017, eq. 9), for each level given that
     below it. Without errors this is the prior of Box and Tiao (Bayesian Inference in Statistical
@@ -60,8 +53,8 @@ def variance_components(
         sd: Standard deviations of their errors, shape (N,).
         groups: Label of the group of each of them, N of them.
         level: Probability of the intervals.
-        points: Number of grid points of each standard deviation.
-        own: Shares of the errors' standard deviation and their probabilities, see above.
+        points: See above.
+        own: See above.
     """
     labels = list(dict.fromkeys(groups))
     alone, single = len(labels) == 1, len(set(groups)) == values.size

@@ -36,6 +36,6 @@ def searched(noise=NOISE, traces=(), **effects) -> Searched:
     batch = Batch([traces])
     plain = baselines(batch)
     first = plain_sets(plain)
-    first_look(ServoSearch(batch, 0.01, rng), first, joints)
+    first_look(ServoSearch(batch, joints, 0.01, rng), first)
     (tried,), problem = search(batch, joints, first, level=0.01, rng=rng)
     return Searched(traces, batch, plain, tried, problem)

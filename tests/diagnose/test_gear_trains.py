@@ -5,7 +5,7 @@ import pytest
 import simulated
 
 from sim2real.diagnose.diagnose import diagnose
-from sim2real.diagnose.rattle import rattle, rattles
+from sim2real.diagnose.located import rattle, rattles
 from sim2real.servo.trace import trace
 
 NOISE, PERIOD = simulated.NOISE, 0.02

@@ -106,7 +106,7 @@ def test_ends_of_exchangeable_parameters(sizes):
 def test_a_second_filter_is_distinct_where_there_is_one(size):
     batch = Batch([[traced(1, "a", **filtered(0.04, size))]])
     (tried,) = plain_sets(baselines(batch))
-    problem = ServoSearch(batch, 0.01, np.random.default_rng(0))
+    problem = ServoSearch(batch, [], 0.01, np.random.default_rng(0))
     start = row(**filtered(0.04, 0.04))
     sets = [frozenset(FILTERS), *(frozenset({name}) for name in FILTERS)]
     problem.try_all([(tried, members, start) for members in sets])

@@ -87,7 +87,7 @@ def test_set_points_may_act_before_they_are_stamped():
 def fit(effect, *joints):
     """The likelier fit of an effect, with packets in common or not."""
     noisy = [with_noise(joint, MOST_LAGS, LEAST_GAIN) for joint in joints]
-    return max(fitted(noisy, effect), key=lambda each: each.gain)
+    return max(fitted(noisy, (effect,)), key=lambda each: each.gain)
 
 
 def uneven(*joints):
@@ -151,9 +151,8 @@ def test_finds_both_at_once_and_no_other_beside_one(seed):
 
 def test_set_points_are_lost_on_clocks_that_drift():
     drifted = recording(1, loss=0.05, drift=0.001)[0]
-    on_time, unaware = (
-        fit("packet_loss", [x]) for x in (drifted, replace(drifted, drift_s_per_s=0.0))
-    )
+    pair = drifted, replace(drifted, drift_s_per_s=0.0)
+    on_time, unaware = (fit("packet_loss", [x]) for x in pair)
     assert on_time.gain > 1.5 * unaware.gain
 
 
@@ -179,9 +178,8 @@ def test_times_may_be_uneven():
     t[700:] += 0.5  # samples are missing
     jitter = uneven([recording(11, jitter=0.006, t=t)[0]])[0]
     assert size_of(jitter)[0] == pytest.approx(0.006, rel=0.15)
-    assert size_of(uneven([recording(11, loss=0.05, t=t)[0]])[1])[0] == pytest.approx(
-        0.05, abs=0.02
-    )
+    loss = uneven([recording(11, loss=0.05, t=t)[0]])[1]
+    assert size_of(loss)[0] == pytest.approx(0.05, abs=0.02)
 
 
 def test_does_not_look_at_what_it_may_not_use():

@@ -11,7 +11,7 @@ from simulated import INERTIA, KD, KP, LATENCY, NOISE, SHEET, robot, row, traced
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.diagnose import _first_look, diagnose
 from sim2real.diagnose.effect_search import _best, first_look, size_in_noise, with_nuisances
-from sim2real.diagnose.free_parameters import as_read
+from sim2real.diagnose.screening import as_read
 from sim2real.diagnose.servo_search import ServoSearch, baselines, plain_sets
 from sim2real.effects import named
 from sim2real.identification.priors import largest_rotor
@@ -40,10 +40,10 @@ def test_the_base_has_no_prior_that_other_sets_lack():
     """What every set has costs none of them: the plain servo is not compared with a handicap."""
     traces = [traced(1, "a", sensor_eccentricity=WAVE)]
     batch, joints = Batch([traces]), [JointCase("j1", traces, NOISE, None)]
-    problem = ServoSearch(batch, 0.01, np.random.default_rng(0))
+    problem = ServoSearch(batch, joints, 0.01, np.random.default_rng(0))
     cases = plain_sets(baselines(batch))
-    first_look(problem, cases, joints)
-    (based,) = with_nuisances(problem, cases, joints, [cases[0].best])
+    first_look(problem, cases)
+    (based,) = with_nuisances(problem, cases, [cases[0].best])
     assert "sensor_eccentricity" in based.base
     (again,) = problem.refit([(based, based.base, based.plain.fit.servos.theta[0])])
     assert again.evidence == pytest.approx(based.plain.evidence, abs=0.5)

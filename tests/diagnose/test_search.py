@@ -47,12 +47,12 @@ def test_no_set_has_two_effects_that_exclude_each_other(case, request):
 def test_every_effect_that_would_show_is_tried_where_something_is_missing(rubbing):
     """Those that a linear look gives no gain, too: the plain servo's gains may have hidden them."""
     seen, given = rubbing.seen
-    shows = seen.visible > rubbing.search.limits.least_visible
+    shows = seen.visible > rubbing.search.least_visible
     expected = {given[k].effect.name for k in np.unique(seen.candidate[shows])}
     hidden = {
         name
         for k, name in enumerate(option.effect.name for option in given)
-        if seen.gain[seen.candidate == k].max() <= rubbing.search.limits.hopeless_gain
+        if seen.gain[seen.candidate == k].max() <= rubbing.search.hopeless_gain
     }
     expected -= {effect.name for effect in FITTED if effect.everywhere}
     assert expected & hidden, "the plain servo hides some"

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter, lsim
 from simulated import INERTIA, KD, KP, LATENCY, NOISE, PERIOD, row, steps, traced
 
-from sim2real.diagnose.remainder import remainder
+from sim2real.diagnose.located import remainder
 from sim2real.diagnose.servo_search import baselines
 from sim2real.diagnose.unmodelled import (
     JointMotion,

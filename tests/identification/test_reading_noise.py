@@ -114,9 +114,7 @@ def moved(drifts):
     batch = Batch([given])
     best = [one.best for one in plain_sets(baselines(batch))]
     (joint,) = on_one_clock(batch, [JointCase("j1", given, QUIET, None)], best)
-    now = [
-        after.position - before.position for after, before in zip(joint.traces, given, strict=True)
-    ]
+    now = [a.position - b.position for a, b in zip(joint.traces, given, strict=True)]
     right = [a.position - b.position for a, b in zip(still, given, strict=True)]
     return np.concatenate(now), np.concatenate(right)
 
@@ -140,5 +138,6 @@ def test_the_age_of_polled_readings_slips_as_clocks_that_run_apart_do(every, pol
     assert (joint.traces[0].slow is not None) == polled
     batch = batch_of([joint])
     (tried,) = plain_sets(baselines(batch))
-    _, options = ServoSearch(batch, 0.01, np.random.default_rng(0)).seen(tried, frozenset())
+    search = ServoSearch(batch, [joint], 0.01, np.random.default_rng(0))
+    _, options = search.seen(tried, frozenset())
     assert ("clock_drift" not in {one.effect.name for one in options}) == polled

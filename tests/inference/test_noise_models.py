@@ -17,7 +17,7 @@ from sim2real.inference.correlated_noise import (
     whitened,
     whiteness,
 )
-from sim2real.inference.segments import SHORTEST_S, inside, robust_sd, windows
+from sim2real.inference.segments import inside, robust_sd, windows
 
 
 def ar1(rng, rho, n):
@@ -159,7 +159,7 @@ def test_windows_are_in_order_and_no_shorter_than_they_may_be():
         found = windows(T, with_events(*map(tuple, events), seed=seed), SD)
         flat = np.ravel(found)
         assert (np.diff(flat) > 0).all()
-        assert all(b - a >= SHORTEST_S for a, b in found)
+        assert all(b - a >= 0.1 for a, b in found)
 
 
 def test_inside_includes_both_ends():
