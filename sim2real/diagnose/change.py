@@ -17,7 +17,7 @@ from sim2real.arrays import Array, Index
 from sim2real.diagnose.contrast import LOAD, Comparison, Fitted
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.effect_probabilities import Group
-from sim2real.diagnose.explained import Explained, explained
+from sim2real.diagnose.explained import LOAD_COLUMNS, Explained, explained
 from sim2real.diagnose.link_effect import IrregularTiming, link_of
 from sim2real.diagnose.result import Estimate
 from sim2real.diagnose.screening import FITTED
@@ -62,9 +62,9 @@ class Change:
     @property
     def effects(self) -> Set:
         """Effects of the catalogue that ``row`` has for what is named."""
-        heads = {g.members[0] for g in self.named} - {self.link.effect if self.link else ""}
-        load = {"unmodelled_inertia", "gravity_load"} if LOAD in heads else set()
-        return frozenset((heads - {*SET_ANEW}) | load)
+        heads = {g.head for g in self.named} - {self.link.effect if self.link else ""}
+        load = LOAD_COLUMNS.values() if LOAD in heads else ()
+        return frozenset((heads - {*SET_ANEW}).union(load))
 
 
 def what_changed(
@@ -86,13 +86,12 @@ def what_changed(
     looks = by.screened(by.case, of.row)
     ranked = sorted(looks, key=lambda name: -looks[name][0])
     some = dict.fromkeys([*ranked[:_MOST], *(n for n in ranked if n in SET_ANEW)])
-    fits = [by.fitted([name], [looks[name][1], of.row]) for name in some]
+    fits = [by.fitted([name], looks[name][1], of.row) for name in some]
     best = max(fits, key=lambda fit: fit.evidence)
     by.doubt(best)
     least = _NEAR * best.evidence if best.evidence > 0 else best.evidence
-    near = [fit for fit in fits if fit.evidence >= least]
-    fits = [by.fitted(fit.names, [fit.row, of.row]) for fit in near]
-    change = _single(by, fits, looks)
+    fits = [by.fitted(fit.names, fit.row, of.row) for fit in fits if fit.evidence >= least]
+    change = _single(by, fits)
     wrong = DECISION.change.law_error**2 * by.start_bare
     least = min(fit.bare for fit in fits)
     if of.way == "repeat" and least > max(DECISION.change.misfit_ratio, wrong):
@@ -100,39 +99,32 @@ def what_changed(
     return _with_nameless(by, change, step_rad)
 
 
-def _single(by: Comparison, fits: Sequence[Fitted], looks: Mapping[str, object]) -> Change:
+def _single(by: Comparison, fits: Sequence[Fitted]) -> Change:
     """One change, or none, or one that has no name."""
-    best = max(fits, key=lambda fit: fit.evidence)
-    shrink = best.trust
-    known, null = _null_gain(by, best)
-    sure = float(expit(student(best.gain * shrink / null, known) + LOG_PRIOR))
-    behind = np.array([best.evidence - fit.evidence for fit in fits]) * shrink
-    share = np.exp(-behind / (1 + DECISION.change.law_error**2 * 2 * best.gain * shrink))
-    # As likely of all parameters together as of all effects.
-    share *= [len(FITTED) / len(SET_ANEW) if fit.names[0] in SET_ANEW else 1.0 for fit in fits]
-    share *= sure / share.sum()
-    probability = {fit.names[0]: float(p) for fit, p in zip(fits, share, strict=True)}
-    group = _group(probability)
-    (head,) = (fit for fit in fits if fit.names[0] == group.members[0])
-    if by.of.way == "rest" or head.left > DECISION.change.misfit_ratio:
-        most = min(group.probability, DECISION.change.most_certain)
-        group = replace(group, probability=most)
-    return Change((group,), probability, head.row, sizes=head.sizes, left=head.left)
-
-
-def _null_gain(by: Comparison, best: Fitted) -> tuple[float, float]:
-    """Number of unchanged recordings that are known, and the mean gain of a change in them."""
     numbers, way = DECISION.change, by.of.way
+    best = max(fits, key=lambda fit: fit.evidence)
+    # The mean gain of a change in unchanged recordings, of which the references are known.
     count = by.case.count * by.case.trust
     usual = numbers.null_rest * count if way == "rest" else numbers.null_repeat
     usual += numbers.null_law * count * by.misfit
     seen = []
     for reference in by.references:
         looks = by.screened(reference, by.of.row, only=best.names)
-        gain = max(looks.get(name, (0.0, 0))[0] for name in best.names)
-        seen.append(float(gain))
+        seen.append(max(float(looks[name][0]) if name in looks else 0.0 for name in best.names))
     known = numbers.null_known + len(seen)
-    return known, (numbers.null_known * usual + sum(seen)) / known
+    null = (numbers.null_known * usual + sum(seen)) / known
+    sure = float(expit(student(best.gain * best.trust / null, known) + LOG_PRIOR))
+    behind = np.array([best.evidence - fit.evidence for fit in fits]) * best.trust
+    share = np.exp(-behind / (1 + numbers.law_error**2 * 2 * best.gain * best.trust))
+    # As likely of all parameters together as of all effects.
+    share *= [len(FITTED) / len(SET_ANEW) if fit.names[0] in SET_ANEW else 1.0 for fit in fits]
+    share *= sure / share.sum()
+    probability = {fit.names[0]: float(p) for fit, p in zip(fits, share, strict=True)}
+    group = _group(probability)
+    (head,) = (fit for fit in fits if fit.names[0] == group.head)
+    if way == "rest" or head.left > numbers.misfit_ratio:
+        group = replace(group, probability=min(group.probability, numbers.most_certain))
+    return Change((group,), probability, head.row, sizes=head.sizes, left=head.left)
 
 
 def _group(probability: Mapping[str, float]) -> Group:
@@ -150,12 +142,12 @@ def _pair(by: Comparison, fits: Sequence[Fitted]) -> Change | None:
 
     def extend(name: str, most: int) -> None:
         """Fit the changes that add most to this one."""
-        first = alone.get(name) or by.fitted([name], [by.of.row])
-        looks = by.screened(by.case, first.row, frozenset((name,)))
+        first = alone.get(name) or by.fitted([name], by.of.row)
+        looks = by.screened(by.case, first.row, present=frozenset((name,)))
         for other in sorted(looks, key=lambda n: -looks[n][0])[:most]:
             pair = frozenset((name, other))
             if pair not in found:
-                found[pair] = by.fitted([name, other], [looks[other][1]])
+                found[pair] = by.fitted([name, other], looks[other][1])
 
     def best() -> Fitted:
         return max(found.values(), key=lambda fit: fit.evidence)
@@ -170,14 +162,13 @@ def _pair(by: Comparison, fits: Sequence[Fitted]) -> Change | None:
         return None
     probability: dict[str, float] = {}
     groups = []
-    shrink = two.trust
     for head, other in (two.names, two.names[::-1]):
         rivals = {next(iter(p - {other})): fit for p, fit in found.items() if other in p}
         # As wrong as a law may be of what this one explains together with the other.
         more = max(two.gain - alone[other].gain if other in alone else two.gain, 0.0)
-        blur = 1 + DECISION.change.law_error**2 * 2 * more * shrink
+        blur = 1 + DECISION.change.law_error**2 * 2 * more * two.trust
         cost = {n: two.evidence - fit.evidence for n, fit in rivals.items()}
-        weight = {n: float(np.exp(-x * shrink / blur)) for n, x in cost.items()}
+        weight = {n: float(np.exp(-x * two.trust / blur)) for n, x in cost.items()}
         total = sum(weight.values())
         mine = {n: DECISION.most_certain * w / total for n, w in weight.items()}
         groups.append(_group({head: mine.pop(head)} | mine))
@@ -195,17 +186,18 @@ def _unexplained(by: Comparison, left: float) -> bool:
 def _with_nameless(by: Comparison, change: Change, step_rad: float) -> Change:
     """The change, and what is in the case besides that it does not explain."""
     of, numbers = by.of, DECISION.change
-    remaining = replace(of)
-    if change.named:
-        remaining = replace(of, row=change.row)
+    remaining = replace(of, row=change.row).residual if change.named else of.residual
     # beyond what is named, a law is wrong by a share of what it explains
-    jump = _largest_jump(of, of.residual - remaining.residual)
-    windows = jump_windows(of, remaining.residual, max(step_rad, numbers.law_error * jump))
+    jump = _largest_jump(of, of.residual - remaining)
+    windows = jump_windows(of, remaining, max(step_rad, numbers.law_error * jump))
     left = change.left if change.named else by.start
     limit = numbers.foreign_misfit if of.way == "law" else numbers.misfit_ratio
     foreign = not change.named and left > limit
-    if of.way == "repeat" and not change.named and (windows is None or _lasting(of, windows)):
-        late = _irregular_timing(of)
+    if of.way == "repeat" and not change.named:
+        # What a link does never stops.
+        covered = sum(last - first for pieces in windows or () for first, last in pieces)
+        lasting = covered > 0.5 * sum(trace.duration_s for trace in of.traces[of.references :])
+        late = _irregular_timing(of) if windows is None or lasting else None
         if late is not None:
             return late
     badly = of.way != "law" and bool(change.named) and _unexplained(by, left)
@@ -229,7 +221,7 @@ def _jumps(of: Explained, residual: Array) -> tuple[Array, Array, Index]:
     """
     t = np.concatenate([trace.t[trace.used] for trace in of.traces])
     period = np.array([float(np.median(np.diff(trace.t))) for trace in of.traces])
-    apart, place = np.diff(t), of.recording
+    apart, place = np.diff(t), of.problem.recording
     good = (place[1:] == place[:-1]) & (apart < 1.5 * period[place[1:]])
     return t[1:][good], np.abs(np.diff(residual))[good], place[1:][good]
 
@@ -255,44 +247,34 @@ def jump_windows(of: Explained, residual: Array, step_rad: float = 0.0) -> Windo
     ratio = numbers.repeated_jump_ratio if of.way == "repeat" else numbers.jump_ratio
     at, size, place = _jumps(of, residual)
     windows: list[tuple[Window, ...]] = []
-    for r in range(of.references, len(of.traces)):
+    for r, trace in enumerate(of.traces[of.references :], start=of.references):
         when = at[(place == r) & (size > ratio * usual)]
         if not when.size:
             windows.append(())
             continue
         first, last = float(when[0]), float(when[-1])
-        if when.size == 1 or _stays(of, residual, r, first, last):
-            last = float(of.traces[r].t[-1])
+        t, error2 = trace.t[trace.used], residual[of.problem.recording == r] ** 2
+        before, after = error2[t < first], error2[t > last]
+        stays = when.size == 1
+        if before.size and after.size and not stays:
+            usual2 = max(float(np.mean(before)), float(np.mean(of.residual[~of.case] ** 2)))
+            stays = float(np.mean(after)) > numbers.lasting_ratio**2 * usual2
+        if stays:
+            last = float(trace.t[-1])
         windows.append(((first, last),))
     return tuple(windows) if any(windows) else None
 
 
-def _stays(of: Explained, residual: Array, r: int, first: float, last: float) -> bool:
-    """Whether a recording is far off after the last jump, and was not before the first."""
-    t, error2 = of.traces[r].t[of.traces[r].used], residual[of.recording == r] ** 2
-    before, after = error2[t < first], error2[t > last]
-    if before.size == 0 or after.size == 0:
-        return False
-    usual = max(float(np.mean(before)), float(np.mean(of.residual[~of.case] ** 2)))
-    return float(np.mean(after)) > DECISION.change.lasting_ratio**2 * usual
-
-
-def _lasting(of: Explained, windows: Windows) -> bool:
-    """Whether windows cover more than half of the case, as what a link does never stops."""
-    covered = sum(last - first for pieces in windows for first, last in pieces)
-    return covered > 0.5 * sum(trace.duration_s for trace in of.traces[of.references :])
-
-
-def _irregular_timing(of: Explained, *, lags: int = 2, least_gain: float = 1.0) -> Change | None:
+def _irregular_timing(of: Explained) -> Change | None:
     """Jitter of the link that no repeat has, or None."""
     period, links = of.traces[0].period_s, []
     if not all(trace.used.any() for trace in of.traces):  # of commands that no other has
         return None
     for r, trace in enumerate(of.traces):
         error = np.zeros(trace.t.size)
-        error[trace.used] = -of.residual[of.recording == r]
+        error[trace.used] = -of.residual[of.problem.recording == r]
         residual = Residual(trace, error, *of.row[:3].tolist())
-        links.append(link_of([[residual]], lags, least_gain))
+        links.append(link_of([[residual]], lags=2, least_gain=1.0))
     late = [u.sizes.get("latency_jitter", (0.0, np.inf))[0] for u in links]
     worst = max(range(of.references, len(links)), key=lambda r: late[r])
     if late[worst] > period / 2:  # set-points would overtake each other

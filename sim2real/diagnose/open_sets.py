@@ -1,8 +1,8 @@
-"""Which sets of effects recordings of a joint leave open."""
+"""What recordings of a joint leave open: sets of effects, and effects too small to show."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,9 +12,14 @@ from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.effect_probabilities import trusted_share
 from sim2real.diagnose.investigate import Finding, is_no_finding
+from sim2real.diagnose.result import DetectionLimit
 from sim2real.diagnose.rival_sets import JointRivals, RivalSet
+from sim2real.diagnose.screening import Candidate, Screen
 from sim2real.identification.servo_problem import Hypothesis
 from sim2real.inference.normal import NINE_IN_TEN
+
+_NOTICED = float(np.sqrt(2 * DECISION.detection_gain)) + NINE_IN_TEN
+"""Score of an effect from which it is noticed in nine of ten recordings."""
 
 
 def rival_sets(
@@ -104,11 +109,10 @@ def _hidden(
     share = float(posterior.get(best.members, 0.0))
     known = _fitted(_stated_effects(joint, finding, best), share, best, finding.tried.plain)
     seen, options = finding.search.seen(finding.tried, best.members)
-    needed = float(np.sqrt(2 * DECISION.detection_gain)) + NINE_IN_TEN
     found: list[RivalSet] = []
     for k, option in enumerate(options):
         names = tuple(sorted({*known.effects, option.effect.name}))
-        mine = np.flatnonzero((seen.candidate == k) & (seen.visible < needed))
+        mine = np.flatnonzero((seen.candidate == k) & (seen.visible < _NOTICED))
         if names in taken or option.effect.everywhere or not mine.size:
             continue
         start = int(mine[seen.visible[mine].argmax()])
@@ -131,3 +135,28 @@ def set_probabilities(joint: JointCase, finding: Finding) -> dict[tuple[str, ...
         names = _stated_effects(joint, finding, finding.tried.tried[members])
         weight[names] = weight.get(names, 0.0) + float(p)
     return weight
+
+
+def detection_limits(
+    seen: Screen, candidates: Sequence[Candidate], component: str
+) -> list[DetectionLimit]:
+    """The smallest strength of each effect that could be noticed.
+
+    The score of an effect grows with its strength; between the strengths that were simulated it is
+    interpolated, both on logarithmic scales, and below them proportional.
+    """
+    limits = []
+    for k, option in enumerate(candidates):
+        mine = (seen.candidate == k) & (seen.visible > 0)
+        strength = np.abs(option.starts[seen.start[mine], 0])
+        levels = np.unique(strength)
+        score = np.array([np.median(seen.visible[mine][strength == x]) for x in levels])
+        smallest = None
+        if score.max(initial=0.0) >= _NOTICED:
+            order, sign = np.argsort(score), 1.0 if score[-1] >= score[0] else -1.0
+            log_score, log_level = np.log([score[order], levels[order]])
+            at = float(np.interp(np.log(_NOTICED), log_score, log_level))
+            smallest = float(np.exp(at + sign * min(np.log(_NOTICED) - log_score[0], 0.0)))
+        name = option.effect.parameters[0].name
+        limits.append(DetectionLimit(option.effect.name, component, {name: smallest}))
+    return limits

@@ -10,11 +10,10 @@ from scipy.special import expit
 
 from sim2real.arrays import Array
 from sim2real.diagnose.case import Case, JointCase, batch_of, prepared
-from sim2real.diagnose.change import Change, what_changed
-from sim2real.diagnose.contrast import Changes, noise_of
+from sim2real.diagnose.change import what_changed
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.effect_probabilities import EffectPosterior, Group
-from sim2real.diagnose.explained import way_of
+from sim2real.diagnose.explained import LOAD_COLUMNS, Changes, noise_of, way_of
 from sim2real.diagnose.free_parameters import with_effects
 from sim2real.diagnose.investigate import ROUNDING, Finding, investigate
 from sim2real.diagnose.result import Experiment
@@ -30,7 +29,6 @@ from sim2real.identification.servo_problem import (
     Fits,
     Hypothesis,
     Servos,
-    Set,
     Tried,
     joined,
     minimise,
@@ -43,16 +41,10 @@ from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.progress import Progress
 from sim2real.robot import Servo
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import BASE, COLUMNS, LOSSES, joint_row, stated
+from sim2real.servo.parameters import COLUMNS, FIRST_COLUMN, LOSSES, RATE_LIMIT, joint_row, stated
 from sim2real.servo.trace import Trace, sensor_noise, traces
 
-_SET_POINT = "rate_limit"
-_LIMIT = COLUMNS.index(f"{_SET_POINT}.limit_rad_s")
-_LOADS = {
-    BASE.index("inertia_kgm2"): COLUMNS.index("unmodelled_inertia.inertia_kgm2"),
-    BASE.index("gravity_Nm"): COLUMNS.index("gravity_load.torque_Nm"),
-}
-"""Columns of a load in addition to the stated one, and of the effects that state it."""
+_LIMIT = COLUMNS.index(RATE_LIMIT)
 
 
 def with_known_servos(case: Case, rng: np.random.Generator) -> Case:
@@ -90,7 +82,7 @@ def law_of(
         return stated(motor.row, load, motor.effects, motor.law)
     row = _with_losses(motor, servo)
     limit = float(row[_LIMIT])
-    limits = (FittedEffect(_SET_POINT, {"limit_rad_s": limit}),) if limit else ()
+    limits = (FittedEffect("rate_limit", {"limit_rad_s": limit}),) if limit else ()
     return stated(row, load, (*motor.effects, *limits), motor.law)
 
 
@@ -100,8 +92,8 @@ def _with_losses(motor: Fit, servo: Servo) -> Array:
     Noise that grows with speed hides in one common scale what slow motions show.
     """
     row, traces = motor.row.copy(), motor.problem.traces
-    row[list(_LOADS)] = 0.0
-    limit = of_effects([named(_SET_POINT)], row, motor.inertia)
+    row[3:5] = 0.0
+    limit = of_effects([named("rate_limit")], row, motor.inertia)
     free = {p.name: p for p in (*motor_prior(servo, traces).of(LOSSES), *motor.parameters)}
     starts = np.tile(row, (6, 1))
     starts[:, _LIMIT] = servo.no_load_speed_rad_s * np.array([0.0, 0.75, 1.1, 0.0, 0.75, 1.1])
@@ -138,7 +130,7 @@ def findings_of(
     else:
         findings = _not_searched(batch, joints, rng)
     for count, j in enumerate(referred):
-        findings[j] = against_references(batch, joints[j], findings[j])
+        findings[j] = _against_references(batch, joints[j], findings[j])
         progress((count + 1) / len(referred))
     return joints, findings
 
@@ -177,21 +169,33 @@ def _evaluated(batch: Batch, servos: Servos) -> Fits:
     return minimise(batch, servos, iterations=1, blocks=BLOCKS)
 
 
-def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Finding:
+def _against_references(batch: Batch, joint: JointCase, finding: Finding) -> Finding:
     """The finding in which only what differs from the joint's references, if any, is named."""
-    references = joint.references
-    if not references or joint.model is None or joint.servo is None:
-        return finding
-    row = joint_row(joint.model, references[0].load, joint.name)
+    assert joint.model is not None and joint.servo is not None
+    references, tried = joint.references, finding.tried
+    row, load = joint_row(joint.model, references[0].load, joint.name), references[0].load
     change = what_changed(references, joint.traces, row, joint.servo, joint.step_rad or 0.0)
+    best = tried.plain
+    if change.named and change.link is None:
+        row, members = change.row.copy(), tried.base | change.effects
+        for k, effect in enumerate(LOAD_COLUMNS.values(), start=3):
+            row[FIRST_COLUMN[effect]] += row[k]
+        row[3:5] = 0.0
+        servos = with_effects(best.fit.servos, members, row, load.inertia_kgm2, tried.base)
+        fit = _evaluated(batch, replace(servos, theta=row[None]))
+        best = Hypothesis(members, fit, float(fit.loglikelihood[0]))
+    likely = {n: p for n, p in change.probability.items() if n not in tried.base}
+    order = sorted(likely, key=lambda n: -likely[n])
+    sets = (tried.base, *(tried.base | {n} for n in order))
+    probability = np.array([1 - sum(likely.values()), *(likely[n] for n in order)])
     coarser = _coarser(joint)
     coarse = (Group((ROUNDING,), coarser),) if coarser >= DECISION.named else ()
     nameless = change.nameless > DECISION.named
     return replace(
         finding,
         mismatch=bool(change.named or nameless or coarse),
-        best=_with_change(batch, finding.tried, change, references[0].load.inertia_kgm2),
-        posterior=_posterior(change, finding.tried.base),
+        best=best,
+        posterior=EffectPosterior(sets, probability),
         groups=(*coarse, *change.groups),
         unexplained=nameless,
         unknown=change.nameless,
@@ -201,27 +205,6 @@ def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Find
         link=change.link,
         place=0,
     )
-
-
-def _with_change(batch: Batch, tried: Tried, change: Change, inertia: float) -> Hypothesis:
-    """The servo of the references with what is named; a load as what is not in the stated one."""
-    if not change.named or change.link is not None:
-        return tried.plain
-    row, members = change.row.copy(), tried.base | change.effects
-    for load, effect in _LOADS.items():
-        row[effect] += row[load]
-        row[load] = 0.0
-    servos = with_effects(tried.plain.fit.servos, members, row, inertia, tried.base)
-    fit = _evaluated(batch, replace(servos, theta=row[None]))
-    return Hypothesis(members, fit, float(fit.loglikelihood[0]))
-
-
-def _posterior(change: Change, base: Set) -> EffectPosterior:
-    """The probabilities of changes as those of sets, nothing more than ``base`` among them."""
-    likely = {n: p for n, p in change.probability.items() if n not in base}
-    order = sorted(likely, key=lambda n: -likely[n])
-    sets = (base, *(base | {n} for n in order))
-    return EffectPosterior(sets, np.array([1 - sum(likely.values()), *(likely[n] for n in order)]))
 
 
 def _coarser(joint: JointCase) -> float:
@@ -242,17 +225,14 @@ def repeat(joints: Sequence[JointCase]) -> Experiment | None:
     for joint in joints:
         if joint.references and way_of(joint.references, joint.traces) == "law":
             trace = max(joint.traces, key=Trace.activity)
+            command = f"the command of {trace.name}"
+            text = (
+                f"Repeat {command} on {joint.name} in the state of the references: the error of "
+                "the model is the same in a repeated recording, so far smaller changes are "
+                "detected."
+            )
+            t, signal = trace.t - trace.t[0], trace.command
             return Experiment(
-                component=joint.name,
-                separates=(),
-                command=f"the command of {trace.name}",
-                context="none",
-                separation=0.0,
-                duration_s=trace.duration_s,
-                statement=f"Repeat the command of {trace.name} on {joint.name} in the state of the "
-                "references: the error of the model is the same in a repeated recording, so far "
-                "smaller changes are detected.",
-                t=trace.t - trace.t[0],
-                signal=trace.command,
+                joint.name, (), command, "none", 0.0, trace.duration_s, text, t=t, signal=signal
             )
     return None
