@@ -27,7 +27,7 @@ from sim2real.design.plan import commands_without_angles
 from sim2real.design.rivals import RivalObjective, root_of_inverse
 from sim2real.design.search import best
 from sim2real.design.tell_apart import Request, RivalDesign, forecast
-from sim2real.diagnose.swim_rivals import SwimRivals
+from sim2real.diagnose.rival_sets import SwimRivals
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot
