@@ -344,7 +344,7 @@ def _telling_apart(
         fitted = model_of(Path(diagnosis).parent / found.text("model"))
         check_joints(fitted, robot)
         return design_swim(rivals, fitted, robot, request)
-    from sim2real.design.contexts import read_contexts
+    from sim2real.design.limits import read_contexts
 
     offered = () if contexts is None else read_contexts(contexts)
     return design_for_rivals(read_rival_sets(found), robot, request, offered)

@@ -21,8 +21,8 @@ from dataclasses import replace
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.design.contexts import AS_IT_IS, Context
 from sim2real.design.information import command_trace, rms_torque
+from sim2real.design.limits import AS_IT_IS, Context
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.rival_sets import JointRivals, OpenSets, entropy
 from sim2real.diagnose.screening import NUISANCES
@@ -38,12 +38,10 @@ _DIFFERENCE = 0.05
 
 
 class RivalObjective(ABC):
-    """Scores commands by the entropy that they leave over M sets of effects.
-
-    The share ``uniform`` of the ``probability`` (M,) is the same for all sets.
-    """
+    """Scores commands by the entropy that they leave over M sets of effects."""
 
     def __init__(self, rivals: OpenSets, *, uniform: float = 0.0) -> None:
+        """Give all sets the same ``uniform`` share of the probability."""
         self.rivals = rivals
         p = np.array([one.probability for one in rivals.sets])
         self.probability = (1 - uniform) * p / p.sum() + uniform / p.size
@@ -59,9 +57,8 @@ class RivalObjective(ABC):
     def __call__(self, commands: Array, *, penalty: float = 10.0) -> Array:
         """Scores of set-points in rad, (N, T) or (N, T, J), shape (N,); -inf where it diverges.
 
-        Minus the entropy that remains, in nats, or that before the recording, less the penalty,
-        where limits are exceeded: ``penalty`` for a torque of twice what is allowed or a path 1 m
-        outside.
+        Minus the entropy that remains, in nats, or that before the recording and a ``penalty`` per
+        unit of what exceeds limits.
         """
         excess = self.excess(commands)
         scores = np.asarray(-entropy(self.probability) - penalty * excess)
@@ -76,11 +73,7 @@ class RivalObjective(ABC):
 
 
 class JointObjective(RivalObjective):
-    """What commands tell of the sets of effects that are open on one joint.
-
-    ``context``: what changes besides the commands, whose torque has at most the root mean square
-    ``rms_torque_Nm``.
-    """
+    """What commands tell of the sets of effects that are open on one joint, in a context."""
 
     rivals: JointRivals
 
@@ -127,11 +120,10 @@ class JointObjective(RivalObjective):
             yield mean, spread, self.trusted(mean - without, plain)
 
     def trusted(self, effect: Array, plain: Array) -> float:
-        """Share of the evidence that a diagnosis trusts.
+        """Share of the evidence that a diagnosis trusts, by the gain of each set.
 
-        By the gain of each set over a plain servo, from the ``effect`` that it has on the signals,
-        (M, n), of which a refit within changes by its own values takes up a part: ``plain`` has the
-        derivatives by the logarithms of the plain servo's parameters, (B, n).
+        A refit of the plain servo, with derivatives ``plain`` (B, n) by the logarithms of its
+        parameters, takes up a part of the ``effect`` that sets have on the signals, (M, n).
         """
         across = effect @ plain.T
         taken = np.linalg.solve(np.eye(len(plain)) + plain @ plain.T, across.T).T
@@ -155,14 +147,14 @@ def root_of_inverse(precision: Array) -> Array:
     return np.asarray(scale[:, None] * vector / np.sqrt(np.maximum(value, 1e-10)))
 
 
-def distances(mean: Array, spread: Array, *, largest: float = 1e7) -> Array:
+def distances(mean: Array, spread: Array) -> Array:
     """Bhattacharyya distances of M sets, (M, M), by predictions (M, n) and spreads (M, F, n).
 
-    All are NaN where one of them is not finite or beyond the ``largest``, as a simulation diverged.
+    All are NaN where a simulation diverged.
     """
     M, F, n = spread.shape
     columns = np.concatenate([mean - mean[0], spread.reshape(-1, n)])
-    if not (np.abs(columns) < largest).all():
+    if not (np.abs(columns) < 1e7).all():
         return np.full((M, M), np.nan)
     products, of_set = columns @ columns.T, M + np.arange(M * F).reshape(M, F)
     i, j = np.triu_indices(M, 1)

@@ -12,8 +12,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from sim2real.arrays import Array
-from sim2real.design.contexts import AS_IT_IS, Context
-from sim2real.design.limits import check_seconds, holding, limits_of
+from sim2real.design.limits import AS_IT_IS, Context, check_seconds, holding, limits_of
 from sim2real.design.plan import NextRecording, commands_without_angles
 from sim2real.design.rivals import JointObjective, RivalObjective, remaining_entropy
 from sim2real.design.search import best, part
@@ -107,14 +106,13 @@ class RivalDesign(NextRecording):
 
     def _best(self) -> tuple[str, ExpectedSeparation]:
         """The pair of open sets that is told apart best, and its component."""
-        pairs = []
-        for joint in self.joints:
-            open_sets = {x.effects for x in joint.rivals.sets if x.probability >= self.least}
-            pairs += [
-                (joint.rivals.component, pair)
-                for pair in joint.pairs
-                if open_sets.issuperset((pair.first, pair.second))
-            ]
+        pairs = [
+            (joint.rivals.component, pair)
+            for joint in self.joints
+            for still in [{x.effects for x in joint.rivals.sets if x.probability >= self.least}]
+            for pair in joint.pairs
+            if still.issuperset((pair.first, pair.second))
+        ]
         return max(pairs, key=lambda pair: pair[1].expected)
 
     def __str__(self) -> str:
@@ -143,21 +141,26 @@ def design_for_rivals(
     contexts: Sequence[Context] = (),
     *,
     samples: float = 6e5,
-    change_gain: float = 0.02,
 ) -> RivalDesign:
     """The commands, and the context, that leave the least expected entropy over the rival sets.
 
-    All joints move at once, in the context whose best commands tell most: one besides the bench as
-    it is must save ``change_gain`` nats. ``samples`` set-points are simulated for a joint, a third
-    of them of random commands.
+    All joints move at once, in the context whose best commands tell most. ``samples`` set-points
+    are simulated for a joint, a third of them of random commands.
     """
     rivals = [one for one in rivals if request.leaves_open(one)]
     if not rivals:
         none = "no joint with several probable sets of effects"
         raise InputError(request.file, "rival_sets", none, "a diagnosis that leaves some open")
-    _check_joints(rivals, contexts, robot, request.file)
+    of_contexts = {name: "contexts" for context in contexts for name in context.loads}
+    for name, where in ({one.component: request.file for one in rivals} | of_contexts).items():
+        if robot.joint(name) is None:
+            known = ", ".join(joint.name for joint in robot.joints)
+            raise InputError(where, "", f"joint {name!r}", f"a joint of {robot.name}: {known}")
     seconds, offered, limits = request.seconds, [AS_IT_IS, *contexts], []
     for one in rivals:
+        if one.load is PER_INERTIA and one.component in of_contexts:
+            found = "a load where the recordings so far state none"
+            raise InputError("contexts", f"loads.{one.component}", found, "one in all or in none")
         own = replace(limits_of(robot, one.component), period_s=one.period_s)
         check_seconds(seconds, own)
         for context in contexts:
@@ -167,10 +170,10 @@ def design_for_rivals(
     commands = int(np.clip(samples / count, 64, 800) / len(offered))
     plans: list[tuple[float, Context, list[JointForecast]]] = []
     for context in offered:
-        score, joints = change_gain * (context is AS_IT_IS), []
+        score, joints = 0.02 * (context is AS_IT_IS), []  # nats that another one must save
         for k, (one, own) in enumerate(zip(rivals, limits, strict=True)):
             objective = JointObjective(one, context, rms_torque_Nm=own.rms_torque_Nm)
-            found = best(
+            result = best(
                 objective, own, seconds,
                 rng=np.random.default_rng([request.seed, k]),  # the same in every context
                 drawn=max(commands // 3, 16), rounds=commands // 12,
@@ -178,8 +181,8 @@ def design_for_rivals(
                     request.progress, len(plans) * len(rivals) + k, len(rivals) * len(offered)
                 ),
             )  # fmt: skip
-            score += found.score
-            joints.append(forecast(objective, found.command))
+            score += result.score
+            joints.append(forecast(objective, result.command))
         plans.append((score, context, joints))
     _, context, chosen = max(plans, key=lambda plan: plan[0])
     loads = {one.component: context.load(one) for one in rivals}
@@ -188,30 +191,16 @@ def design_for_rivals(
         {joint.rivals.component: joint.command for joint in chosen},
         {
             "rivals": [joint.content() for joint in chosen],
-            "context": {"name": context.name, **context.ratios},
+            "context": {
+                "name": context.name,
+                "supply_ratio": context.supply,
+                "gain_ratio": context.gain,
+            },
         },
         kind="servo",
         loads={name: load for name, load in loads.items() if load is not PER_INERTIA},
     )
     return RivalDesign(recording, tuple(chosen), f"context: {context.name}", request.least)
-
-
-def _check_joints(
-    rivals: Sequence[JointRivals],
-    contexts: Sequence[Context],
-    robot: Robot,
-    file: str | os.PathLike[str],
-) -> None:
-    """Check that the robot has the joints of a diagnosis and of contexts, whose loads are known."""
-    of_contexts = {name: "contexts" for context in contexts for name in context.loads}
-    for name, where in ({one.component: file for one in rivals} | of_contexts).items():
-        if robot.joint(name) is None:
-            known = ", ".join(joint.name for joint in robot.joints)
-            raise InputError(where, "", f"joint {name!r}", f"a joint of {robot.name}: {known}")
-    for one in rivals:
-        if one.load is PER_INERTIA and one.component in of_contexts:
-            found = "a load where the recordings so far state none"
-            raise InputError("contexts", f"loads.{one.component}", found, "one in all or in none")
 
 
 def forecast(objective: RivalObjective, command: Array, *, achieved: float = 0.4) -> JointForecast:
@@ -225,9 +214,9 @@ def forecast(objective: RivalObjective, command: Array, *, achieved: float = 0.4
     sets = [one.effects for one in objective.rivals.sets]
     places = sorted(combinations(range(p.size), 2), key=lambda pair: -p[pair[0]] * p[pair[1]])
     pairs = tuple(
-        ExpectedSeparation(sets[i], sets[j], float(d), float(ndtr(np.sqrt(2 * d))))
+        ExpectedSeparation(sets[i], sets[j], d, float(ndtr(np.sqrt(2 * d))))
         for i, j in places
-        for d in [distances[0, i, j]]
+        for d in [float(distances[0, i, j])]
     )
     before, bound = entropy(p), float(remaining_entropy(p, distances)[0])
     remaining = before - achieved * (before - bound)

@@ -41,10 +41,11 @@ def design_section(design: Design, *, plots: bool = True) -> Section:
     """Expected half-width of the interval of each parameter, and the commands, by joint."""
     blocks: list[Block] = []
     for name, joint in design.joints.items():
-        held = joint.limits.largest_held_rad
+        limits = joint.information.limits
+        held = limits.largest_held_rad
         within = f", within {held:.2g} rad of hanging, where its servo can hold the load"
         lead = _LEAD.format(
-            seconds=len(design.t) * joint.limits.period_s,
+            seconds=len(design.t) * limits.period_s,
             joint=printable(name),
             origin=joint.origin,
             within=within if np.isfinite(held) else "",
@@ -73,7 +74,7 @@ def _panels(t: Array, name: str, joint: JointDesign) -> list[Panel]:
     motion = {COMMAND: joint.found.command, "expected": angle[0, 0]}
     parts = max(round(float(t[-1]) / _PART_S), 1)
     ends = np.linspace(0.0, float(t[-1]), parts + 1)[1:]
-    names = map(readable_name, joint.prior.names)
+    names = map(readable_name, joint.information.prior.names)
     widths = dict(zip(names, 100 * joint.over_time(parts).T, strict=True))
     position = SignalGroup((name, "position"), "rad", t, motion)
     interval = SignalGroup((name, "interval"), "%", ends, widths)
