@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sim.inference.calibration import Calibration
     from sim.simulation import Simulated
     from sim2real.design.plan import Design
-    from sim2real.design.tell_apart import Request, RivalDesign
+    from sim2real.design.rivals import Request, RivalDesign
     from sim2real.diagnose.result import Diagnosis
     from sim2real.model import Model
     from sim2real.robot import Robot
@@ -299,7 +299,7 @@ def design(
     check_whole("design", "seed", seed)
     description = robot_of(robot)
     if diagnosis is not None:
-        from sim2real.design.tell_apart import Request
+        from sim2real.design.rivals import Request
 
         for name, given in (("model", model), ("inertia", inertia), ("pendulum", pendulum)):
             if given is not None:
@@ -330,7 +330,7 @@ def _telling_apart(
     diagnosis: File, robot: Robot, contexts: File | None, request: Request
 ) -> RivalDesign:
     """The recording that tells the rivals of a diagnosis apart: of servos, or a swim."""
-    from sim2real.design.tell_apart import design_for_rivals
+    from sim2real.design.rivals import design_for_rivals
     from sim2real.diagnose.rival_sets import read_diagnosis, read_rival_sets, read_swim_rivals
 
     found = read_diagnosis(diagnosis)

@@ -140,28 +140,19 @@ def _not_searched(
 ) -> list[Finding]:
     """Findings of joints that are compared with their references: nothing as yet."""
     rows = [joint_row(x.model, x.references[0].load, x.name) for x in joints if x.model]
-    inertia = batch.load[batch.first_signal, 0]
-    places = np.arange(len(joints))
+    inertia, places = batch.load[batch.first_signal, 0], np.arange(len(joints))
     plain = _evaluated(batch, plain_servos(places, np.array(rows), inertia, batch.period))
     cases = plain_sets(plain, [joint.base for joint in joints])
     without = unmodelled(batch, [x.traces for x in joints], joined([t.plain.fit for t in cases]))
     search = ServoSearch(batch, DECISION.false_alarms / len(joints), rng)
     return [
         Finding(
-            tried=tried,
-            search=search,
-            posterior=EffectPosterior((tried.base,), np.ones(1)),
-            best=tried.plain,
-            mismatch=False,
-            unexplained=False,
-            groups=(),
-            unmodelled=one,
-            unknown=0.0,
-            excess=1.0,
-            noise=joint.noise,
+            tried, search, EffectPosterior((tried.base,), np.ones(1)), tried.plain,
+            mismatch=False, unexplained=False, groups=(), unmodelled=one, unknown=0.0,
+            excess=1.0, noise=joint.noise,
         )
         for joint, tried, one in zip(joints, cases, without, strict=True)
-    ]
+    ]  # fmt: skip
 
 
 def _evaluated(batch: Batch, servos: Servos) -> Fits:

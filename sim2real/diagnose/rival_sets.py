@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import xlogy
 
 from sim2real.arrays import Array, Integers
 from sim2real.effects import plain
@@ -146,16 +145,10 @@ class SwimRivals(OpenSets):
         }
 
 
-def entropy(probability: Array) -> float:
-    """Entropy of probabilities (M,), in nats."""
-    return float(-xlogy(probability, probability).sum())
-
-
 def stated_sets(recordings: Sequence[Recording], joint: str) -> tuple[StatedSet, ...]:
     """The sets of effects of a joint that recordings were designed to distinguish.
 
-    Raises:
-        InputError: If what a recording's JSON says under ``rivals`` is of another form.
+    InputError if what a recording's JSON says under ``rivals`` is of another form.
     """
     return tuple(
         (frozenset(one.sentences("effects")), _theta(one))
@@ -165,11 +158,7 @@ def stated_sets(recordings: Sequence[Recording], joint: str) -> tuple[StatedSet,
 
 
 def design_of(recordings: Sequence[Recording], joint: str | None = None) -> list[Fields]:
-    """What the JSON of recordings says under ``rivals``, of a joint or of all.
-
-    Raises:
-        InputError: If it is of another form.
-    """
+    """What the JSON of recordings says under ``rivals``, of a joint or of all; or InputError."""
     tops = (Fields(recording.file, "", recording.metadata) for recording in recordings)
     entries = [entry for top in tops if "rivals" in top for entry in top.tables("rivals")]
     return [entry for entry in entries if joint is None or entry.text("component") == joint]
@@ -180,9 +169,8 @@ def with_open_sets(
 ) -> list[Recording]:
     """The recordings, of which the last states the sets of effects that a diagnosis left open.
 
-    Raises:
-        InputError: If the file is no diagnosis of a servo, or of a joint that was not recorded, or
-            what the last recording states itself is of another form.
+    InputError if the file is no diagnosis of a servo, or of a joint that was not recorded, or what
+    the last recording states itself is of another form.
     """
     *others, last = recordings
     entries = [entry.content for entry in design_of([last])]
@@ -204,38 +192,30 @@ def read_diagnosis(path: str | os.PathLike[str]) -> Fields:
 def read_rival_sets(diagnosis: Fields) -> tuple[JointRivals, ...]:
     """By joint the sets of effects that a diagnosis leaves open; none if it lists none.
 
-    Raises:
-        InputError: If a field is missing or of another form.
+    InputError if a field is missing or of another form.
     """
-    listed = diagnosis.content.get("rival_sets") != []
-    return tuple(
-        JointRivals(
+    rivals, listed = list[JointRivals](), diagnosis.content.get("rival_sets") != []
+    for entry in diagnosis.tables("rival_sets") if listed else ():
+        noise, sets = entry.table("noise"), []
+        for one in entry.tables("sets"):
+            free = one.sentences("free")
+            if unknown := [name for name in free if name not in COLUMNS]:
+                raise one.error("free", f"parameters of a servo, not {unknown[0]!r}")
+            columns = np.array([COLUMNS.index(name) for name in free], dtype=np.int32)
+            information = _numbers(one, "information", len(free), len(free))
+            likely = one.sentences("effects"), one.number("probability"), one.number("gain")
+            sets.append(RivalSet(*likely, _theta(one), columns, information))
+        known = entry.content.get("load") is not None
+        joint = JointRivals(
             component=entry.text("component"),
-            load=PER_INERTIA
-            if entry.content.get("load") is None
-            else read_load(entry.table("load")),
-            period_s=entry.table("noise").number("period_s", above=0),
-            noise_rad=entry.table("noise").number("innovation_sd_rad", above=0),
-            autoregression=_numbers(entry.table("noise"), "autoregression"),
-            sets=tuple(_rival_set(one) for one in entry.tables("sets")),
+            load=read_load(entry.table("load")) if known else PER_INERTIA,
+            period_s=noise.number("period_s", above=0),
+            noise_rad=noise.number("innovation_sd_rad", above=0),
+            autoregression=_numbers(noise, "autoregression"),
+            sets=tuple(sets),
         )
-        for entry in (diagnosis.tables("rival_sets") if listed else ())
-    )
-
-
-def _rival_set(entry: Fields) -> RivalSet:
-    """A set of effects of a joint."""
-    free = entry.sentences("free")
-    if unknown := [name for name in free if name not in COLUMNS]:
-        raise entry.error("free", f"parameters of a servo, not {unknown[0]!r}")
-    return RivalSet(
-        effects=entry.sentences("effects"),
-        probability=entry.number("probability"),
-        gain=entry.number("gain"),
-        theta=_theta(entry),
-        columns=np.array([COLUMNS.index(name) for name in free], dtype=np.int32),
-        information=_numbers(entry, "information", len(free), len(free)),
-    )
+        rivals.append(joint)
+    return tuple(rivals)
 
 
 def _theta(entry: Fields) -> Array:
@@ -249,11 +229,7 @@ def _theta(entry: Fields) -> Array:
 
 
 def read_swim_rivals(diagnosis: Fields) -> SwimRivals:
-    """The sets of effects that a diagnosis of swims leaves open.
-
-    Raises:
-        InputError: If a field is missing or of another form.
-    """
+    """The sets of effects of a diagnosis of swims; InputError if one is of another form."""
 
     def by_name(table: Fields) -> dict[str, float]:
         return {name: table.number(name) for name in table.content}
@@ -336,20 +312,14 @@ def separations(
     component: str,
     stated: Iterable[Fields],
     probability: Mapping[tuple[str, ...], float],
-    *,
-    most: int = 6,
-    least: float = 1e-3,
 ) -> tuple[Separation, ...]:
     """Expectation and outcome of what recordings were designed to distinguish in a component.
 
     ``stated`` is what their JSON says of it, see ``design_of``; ``probability`` that of the sets of
-    effects, given all recordings. Below ``least`` of both sets, both are ruled out.
-
-    Raises:
-        InputError: If a statement is of another form.
+    effects, given all recordings. InputError if a statement is of another form.
     """
     found = []
-    for pair in (p for entry in stated if "pairs" in entry for p in entry.tables("pairs")[:most]):
+    for pair in (p for entry in stated if "pairs" in entry for p in entry.tables("pairs")[:6]):
         first, second = (tuple(pair.sentences(name)) for name in ("first", "second"))
         weights = []
         for own, other in ((first, second), (second, first)):
@@ -357,7 +327,7 @@ def separations(
             needed, excluded = set(own) - set(other), set(other) - set(own)
             has = (e for e in probability if needed.issubset(e) and excluded.isdisjoint(e))
             weights.append(sum(probability[e] for e in has))
-        share = max(weights) / sum(weights) if sum(weights) > least else None
+        share = max(weights) / sum(weights) if sum(weights) > 1e-3 else None
         favoured = first if weights[0] >= weights[1] else second
         expected = pair.number("expected")
         found.append(Separation(component, first, second, expected, share, favoured))

@@ -8,7 +8,7 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.design.plan import Design, JointDesign, NextRecording
-from sim2real.design.tell_apart import JointForecast, RivalDesign
+from sim2real.design.rivals import JointForecast, RivalDesign
 from sim2real.diagnose.rival_sets import task
 from sim2real.report.page import Block, Note, Section, Table, Text
 from sim2real.report.quantity import printable

@@ -14,7 +14,7 @@ from sim.inference.design_swim import SwimLimits, SwimObjective, design_swim, dr
 from sim.inference.swims import by_twin, with_values
 from sim2real.cli import main
 from sim2real.design.limits import limits_of
-from sim2real.design.tell_apart import Request
+from sim2real.design.rivals import Request
 from sim2real.diagnose.rival_sets import read_diagnosis, read_swim_rivals
 from sim2real.recording import read_commands
 
