@@ -30,7 +30,7 @@ from sim2real.diagnose.rival_sets import with_open_sets
 from sim2real.diagnose.screening import NUISANCES
 from sim2real.diagnose.servo_search import ServoSearch, baselines, plain_sets
 from sim2real.diagnose.torque_speed_line import with_limits
-from sim2real.diagnose.wording import diagnosis, with_checks
+from sim2real.diagnose.wording import diagnosis
 from sim2real.effects import named
 from sim2real.identification.held_out import Unseen, held_out
 from sim2real.identification.identify import fitted_joint
@@ -97,7 +97,7 @@ def diagnose(
     loaded = with_arm_loads(everything, robot, model)
     references, recordings = loaded[: len(references)], loaded[len(references) :]
     case = Case(recordings, robot, model, references, effort)
-    result = diagnose_case(case, negligible=negligible, seed=seed, thorough=True, progress=progress)
+    result = diagnose_case(case, negligible=negligible, seed=seed, progress=progress)
     if model is None:
         gain = next(filter(None, map(firmware_gain, everything)), None)
     result = replace(result, model=replace(result.model, firmware_p_gain=gain))
@@ -109,17 +109,11 @@ def diagnose_case(
     *,
     negligible: float = DECISION.negligible,
     seed: int = 0,
-    thorough: bool = False,
     progress: Progress = lambda share: None,
 ) -> Diagnosis:
-    """Diagnose one robot.
-
-    Detection limits, the next experiment and what figures show are of a ``thorough`` diagnosis.
-    """
+    """Diagnose one robot."""
     case, joints = examined(given, seed=seed, progress=progress)
     result = diagnosis(case, joints, negligible, seed)
-    if thorough:
-        result = with_checks(result, case, joints)
     progress(1.0)
     return result
 
@@ -127,10 +121,7 @@ def diagnose_case(
 def examined(
     case: Case, *, seed: int = 0, progress: Progress = lambda share: None
 ) -> tuple[Case, list[JointFindings]]:
-    """What is known of each joint of a robot, before it is put into words.
-
-    With the case and the servos that were taken for granted.
-    """
+    """The case with the servos that were taken for granted, and what is known of each joint."""
     kept, warnings = admitted((*case.recordings, *case.references), case.robot)
     count, rng = len(case.recordings), np.random.default_rng(seed)
     case = replace(case, recordings=kept[:count], references=kept[count:], warnings=warnings)
@@ -141,7 +132,6 @@ def examined(
     if not any(joint.references for joint in joints):
         batch = batch_of(joints)
         joints = on_one_clock(batch, joints, [tried.best for tried in first])
-
     batch = batch_of(joints)
     aligned, findings = findings_of(
         batch, joints, first, rng=rng, progress=lambda share: progress(0.8 * share)

@@ -6,7 +6,7 @@ What is named, what is listed and the verdict follow from the probabilities of i
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -68,17 +68,8 @@ def diagnosis(
     """The diagnosis of one robot."""
     results = {joint.name: joint for joint in joints}
     groups = _named_groups(results)
-    # Groups that change the held-out error by less than a share, which are not listed next to a
-    # mismatch without a name. What has changed since references matters, whatever its size.
-    large, small = list[Named](), list[Named]()
-    nameless = any(joint.finding.mismatch and joint.finding.unexplained for joint in joints)
-    for entry in groups:
-        of_joints = (results[name] for name in entry.joints)
-        change = max(one.finding.changes(one.unseen, entry.group.head) for one in of_joints)
-        if case.references or change >= negligible:
-            large.append(entry)
-        elif not nameless:
-            small.append(entry)
+    # What has changed since references matters, whatever its size.
+    large, small = _by_size(results, groups, -np.inf if case.references else negligible)
     inputs = [r.path for r in (*case.recordings, *case.references) if r.path]
     origin = provenance([*inputs, *([case.robot.path] if case.robot.path else [])], seed)
     of_links = [j.finding.link.sizes for j in joints if j.finding.link is not None]
@@ -89,6 +80,20 @@ def diagnosis(
     plain_models, enriched = (
         {joint.name: joint.model(enriched=which) for joint in joints} for which in (False, True)
     )
+    checks = (
+        f"{recording.name}: {finding.text}"
+        for recording in case.recordings
+        for finding in all_findings(recording, case.robot)
+    )
+    limits, separated = list[DetectionLimit](), list[Separation]()
+    for joint in joints:
+        tried, members = joint.finding.tried, joint.enriched.members
+        known = members if members in tried.tried else tried.base
+        limits += detection_limits(*joint.finding.search.seen(tried, known), joint.name)
+        # Sets of a change against references are not all fitted, and no design states them.
+        if stated := design_of(case.recordings, joint.name):
+            probability = set_probabilities(joint.joint, joint.finding)
+            separated += separations(joint.name, stated, probability)
     return Diagnosis(
         verdict=_verdict(joints, large, small, bool(case.references)),
         mismatch=tuple(_mismatch(joint) for joint in joints if joint.finding.mismatch),
@@ -116,6 +121,18 @@ def diagnosis(
             arm=case.robot.arm,
         ),
         baseline=Model(joints=plain_models, arm=case.robot.arm),
+        gate=tuple(dict.fromkeys(checks)),
+        warnings=case.warnings,
+        evidence=tuple(series for joint in joints for series in _evidence(joint)),
+        detection_limits=tuple(limits),
+        separations=tuple(separated),
+        rival_sets=tuple(
+            rival_sets(joint.joint, joint.finding)
+            for joint in joints
+            if joint.finding.mismatch and not joint.joint.references
+        ),
+        next_experiment=repeat([joint.joint for joint in joints])
+        or to_design((e.component, e.group.members) for e in large if not case.references),
         provenance=origin,
     )
 
@@ -144,6 +161,21 @@ def _named_groups(results: Mapping[str, JointFindings]) -> list[Named]:
     # What something of the supply or the link, seen on several joints, looks like on one.
     groups = [entry for entry in groups if entry.group.head not in mimicked]
     return sorted(groups, key=lambda entry: -entry.group.probability)
+
+
+def _by_size(
+    results: Mapping[str, JointFindings], groups: Sequence[Named], negligible: float
+) -> tuple[list[Named], list[Named]]:
+    """The groups that matter, and those that change the held-out error by less than a share."""
+    changes = [
+        max(results[n].finding.changes(results[n].unseen, entry.group.head) for n in entry.joints)
+        for entry in groups
+    ]
+    pairs = list(zip(groups, changes, strict=True))
+    large, small = [x for x, c in pairs if c >= negligible], [x for x, c in pairs if c < negligible]
+    # The latter are not listed next to a mismatch without a name.
+    nameless = any(x.finding.mismatch and x.finding.unexplained for x in results.values())
+    return large, [] if nameless else small
 
 
 def _verdict(
@@ -315,39 +347,6 @@ def _where(
         for a, b in of_trace
     ]
     return f"in segments: {_first_three(listed)}"
-
-
-def with_checks(found: Diagnosis, case: Case, joints: Sequence[JointFindings]) -> Diagnosis:
-    """The diagnosis of one robot with all that its report shows."""
-    checks = (
-        f"{recording.name}: {finding.text}"
-        for recording in case.recordings
-        for finding in all_findings(recording, case.robot)
-    )
-    limits, separated = list[DetectionLimit](), list[Separation]()
-    for joint in joints:
-        tried, members = joint.finding.tried, joint.enriched.members
-        known = members if members in tried.tried else tried.base
-        limits += detection_limits(*joint.finding.search.seen(tried, known), joint.name)
-        # Sets of a change against references are not all fitted, and no design states them.
-        if stated := design_of(case.recordings, joint.name):
-            probability = set_probabilities(joint.joint, joint.finding)
-            separated += separations(joint.name, stated, probability)
-    return replace(
-        found,
-        gate=tuple(dict.fromkeys(checks)),
-        warnings=case.warnings,
-        evidence=tuple(series for joint in joints for series in _evidence(joint)),
-        detection_limits=tuple(limits),
-        separations=tuple(separated),
-        rival_sets=tuple(
-            rival_sets(joint.joint, joint.finding)
-            for joint in joints
-            if joint.finding.mismatch and not joint.joint.references
-        ),
-        next_experiment=repeat([j.joint for j in joints])
-        or to_design((e.component, e.group) for e in found.effects if not case.references),
-    )
 
 
 def _evidence(joint: JointFindings) -> Iterator[JointSeries]:
