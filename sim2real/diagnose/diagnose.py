@@ -55,13 +55,7 @@ from sim2real.progress import Progress
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import (
-    BASE,
-    COLUMNS,
-    FIRST_COLUMN,
-    LOOP,
-    joint_row,
-)
+from sim2real.servo.parameters import BASE, COLUMNS, FIRST_COLUMN, LOOP, joint_row
 from sim2real.servo.trace import Trace, at_one_gain, firmware_gain
 
 __all__ = ["Case", "diagnose", "diagnose_case"]

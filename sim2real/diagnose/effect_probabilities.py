@@ -77,9 +77,7 @@ def posteriors(found: Sequence[Tried], rng: np.random.Generator) -> list[EffectP
 
 
 def posterior(
-    found: Tried,
-    rng: np.random.Generator,
-    log_odds: Mapping[str, float] | None = None,
+    found: Tried, rng: np.random.Generator, log_odds: Mapping[str, float] | None = None
 ) -> EffectPosterior:
     """Probabilities of the sets, averaged over bootstraps of blocks.
 

@@ -102,10 +102,7 @@ class Changes(ServoProblem):
         return np.concatenate([np.gradient(e + t.position[t.used], t.t[t.used]) for e, t in parts])
 
     def weighted(
-        self,
-        noise: Array,
-        inflation: Sequence[float],
-        law_error: float = DECISION.change.law_error,
+        self, noise: Array, inflation: Sequence[float], law_error: float = DECISION.change.law_error
     ) -> Changes:
         """The same in this ``noise`` (``noise_of``), with an inflation of each recording.
 

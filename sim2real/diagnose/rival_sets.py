@@ -309,9 +309,7 @@ class Separation:
 
 
 def separations(
-    component: str,
-    stated: Iterable[Fields],
-    probability: Mapping[tuple[str, ...], float],
+    component: str, stated: Iterable[Fields], probability: Mapping[tuple[str, ...], float]
 ) -> tuple[Separation, ...]:
     """Expectation and outcome of what recordings were designed to distinguish in a component.
 
