@@ -327,7 +327,7 @@ def beside_rest(
 def _rests(trace: Trace, step_rad: float) -> tuple[Index, Array, Array]:
     """Samples at rest, with their set-points in rad and the sides they came from, 0 if unknown."""
     change = np.diff(trace.command, prepend=trace.command[:1])
-    settling = DECISION.change.settling_samples
+    settling = int(DECISION.change.settling_samples)
     recent = np.convolve(change != 0, np.ones(settling + 1))[: change.size] > 0
     steps = np.abs(np.diff(trace.position))
     quiet = steps < DECISION.change.rest_steps * max(step_rad, 1e-9)

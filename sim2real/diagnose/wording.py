@@ -207,7 +207,7 @@ def _rivals(results: Mapping[str, JointFindings], groups: Sequence[Named]) -> tu
             p = finding.posterior.inclusion(effect) * (1 - finding.unknown)
             if (joint, effect) not in taken and p > DECISION.report.rival_min_probability:
                 found.append(Rival(effect, joint, p))
-    return tuple(sorted(found, key=lambda r: -r.probability)[: DECISION.report.most_rivals])
+    return tuple(sorted(found, key=lambda r: -r.probability)[: int(DECISION.report.most_rivals)])
 
 
 def _named_effect(results: Mapping[str, JointFindings], entry: Named) -> NamedEffect:
