@@ -38,16 +38,6 @@ GAINS = BASE[:3]
 
 
 @dataclass(frozen=True)
-class AngleError:
-    """Errors of the measured angle about the model; late set-points count as lost by the square."""
-
-    white_rad: float  # standard deviation of independent errors, quantisation included
-    angle_rad: float  # of errors that repeat with the angle: an eccentric sensor, cogging
-    angle_scale_rad: float = 0.1  # angle over which these change
-    lost: float = 0.0025  # probability that a set-point does not arrive in its period
-
-
-@dataclass(frozen=True)
 class ServoPrior:
     """Draws of a servo, its parameters that the next recording is to determine, and the noise."""
 
@@ -57,7 +47,12 @@ class ServoPrior:
     # there is none, shape (F,)
     sd: Array
     load: Load  # the load on the shaft
-    noise: AngleError  # errors of the measured angle
+    # standard deviations of errors of the measured angle: independent ones, quantisation included,
+    # and those that repeat with the angle, as of an eccentric sensor or cogging
+    white_rad: float
+    angle_rad: float
+    # probability that a set-point does not arrive in its period, late ones by the square
+    lost: float
 
     @property
     def values(self) -> Array:
@@ -91,25 +86,22 @@ def prior_of(
     rows[:, columns] *= np.exp(points @ root.T)
     known = {} if motor is None else {p.name: p.prior_sd for p in motor.parameters if p.log}
     sd = np.array([known.get(name, np.inf) for name in names])
-    return ServoPrior(names, rows, sd, load, _noise(model, limits))
+    return ServoPrior(names, rows, sd, load, *_noise(model, limits))
 
 
-def _noise(model: Model | None, limits: CommandLimits) -> AngleError:
+def _noise(model: Model | None, limits: CommandLimits) -> tuple[float, float, float]:
     """Errors of the angle that the model states, or else usual ones and the sheet's rounding."""
-    white = float(np.hypot(1e-3, limits.resolution_rad / np.sqrt(12)))
+    white, lost = float(np.hypot(1e-3, limits.resolution_rad / np.sqrt(12))), 0.0025
     joint = None if model is None else model.joints.get(limits.joint)
     if model is None or joint is None:
-        return AngleError(white, white)
+        return white, white, lost
     figures = model.fit.get(f"{limits.joint}.position_rad", {})
     white = float(figures.get("noise") or white)
     train = float(figures.get("train") or white)
-    losses = [
-        effect.parameters["probability"]
-        for effect in (*joint.effects, *model.effects)
-        if effect.effect == "packet_loss"
-    ]
-    by_angle = float(np.sqrt(max(train**2 - white**2, (0.3 * white) ** 2)))
-    return AngleError(white, by_angle, lost=max([AngleError.lost, *losses]))
+    for effect in (*joint.effects, *model.effects):
+        if effect.effect == "packet_loss":
+            lost = max(lost, effect.parameters["probability"])
+    return white, float(np.sqrt(max(train**2 - white**2, (0.3 * white) ** 2))), lost
 
 
 Belief = tuple[tuple[str, ...], Array, Array]
@@ -196,23 +188,23 @@ class Information:
         Half-widths of 90 % intervals, relative to the parameters of each servo, shape (N, D, F),
         and the root mean square of the torque that the motion takes, N m, shape (N, D).
         """
-        noise, period = self.prior.noise, self.limits.period_s
+        stated, period = self.prior, self.limits.period_s
         angle, slopes = self.sensitivities(commands)
         transposed = np.swapaxes(slopes, 2, 3)
         # the same waves for all commands that are compared
         rng = np.random.default_rng(0)
-        number = rng.standard_normal(16) / noise.angle_scale_rad
+        number = rng.standard_normal(16) / 0.1  # rad over which these errors change
         phase = rng.uniform(0, 2 * np.pi, number.size)
         some = np.s_[:, :, ::2]  # errors by the angle change slowly
         wave = np.cos(angle[some][..., None] * number + phase)
         by_angle = 2 * np.swapaxes(slopes[some], 2, 3) @ wave
         change2 = np.diff(commands, axis=1, prepend=commands[:, :1])[:, None, :, None] ** 2
         by_loss = self._by_command(slopes)
-        white2 = noise.white_rad**2
+        white2 = stated.white_rad**2
         prior = np.diag(1 / self.prior.sd**2 + 1e-3)  # so that it has an inverse
         gram = transposed @ slopes / white2
-        repeated = noise.angle_rad**2 * 2 / number.size * by_angle @ np.swapaxes(by_angle, 2, 3)
-        lost = noise.lost * np.swapaxes(by_loss, 2, 3) @ (change2 * by_loss)
+        repeated = stated.angle_rad**2 * 2 / number.size * by_angle @ np.swapaxes(by_angle, 2, 3)
+        lost = stated.lost * np.swapaxes(by_loss, 2, 3) @ (change2 * by_loss)
         inverse = np.linalg.inv(gram + prior)
         covariance = inverse @ (gram + (repeated + lost) / white2**2 + prior) @ inverse
         variance = np.diagonal(covariance, axis1=2, axis2=3)

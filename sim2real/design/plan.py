@@ -119,8 +119,8 @@ class JointDesign:
         return {
             "belief": self.origin,
             "expected": expected,
-            "noise_rad": prior.noise.white_rad,
-            "angle_error_rad": prior.noise.angle_rad,
+            "noise_rad": prior.white_rad,
+            "angle_error_rad": prior.angle_rad,
             "rms_torque_Nm": None if prior.load is PER_INERTIA else torque,
             "commands_compared": self.found.evaluated,
             "range_rad": list(self.information.limits.position_rad),
