@@ -96,12 +96,6 @@ class Comparison:
         self.case = case.differing(self.law_sd)
         self.start_bare, self.start = self.case.left(self.case.error)
 
-    def doubt(self, best: Fitted) -> None:
-        """Let the case count less, by what the best explanation leaves of it."""
-        case, trust = self.case, best.trust
-        case = replace(case, weight=case.weight * trust**0.5, trust=case.trust * trust)
-        self.case = case.differing(self.law_sd)
-
     def _law_sd(self) -> Array:
         """What the parameters of the law move in the case, one standard deviation each, (n, F)."""
         used = [n for n, x in zip(COLUMNS, self.of.row, strict=True) if n in BASE[:3] or x > 0]

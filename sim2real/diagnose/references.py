@@ -250,7 +250,9 @@ def what_changed(
     some = dict.fromkeys([*ranked[:MOST], *(n for n in ranked if n in SET_ANEW)])
     fits = [by.fitted([name], looks[name][1], of.row) for name in some]
     best = max(fits, key=lambda fit: fit.evidence)
-    by.doubt(best)
+    # The case counts less, by what the best explanation leaves of it.
+    weight, trust = by.case.weight * best.trust**0.5, by.case.trust * best.trust
+    by.case = replace(by.case, weight=weight, trust=trust).differing(by.law_sd)
     least = NEAR * best.evidence if best.evidence > 0 else best.evidence
     fits = [by.fitted(fit.names, fit.row, of.row) for fit in fits if fit.evidence >= least]
     change = single_change(by, fits)
@@ -266,7 +268,8 @@ def _with_nameless(by: Comparison, change: Change, step_rad: float) -> Change:
     of, numbers = by.of, DECISION.change
     remaining = replace(of, row=change.row).residual if change.named else of.residual
     # beyond what is named, a law is wrong by a share of what it explains
-    jump = _largest_jump(of, of.residual - remaining)
+    _, size, place = _jumps(of, of.residual - remaining)
+    jump = float(size[place >= of.references].max(initial=0.0))
     windows = jump_windows(of, remaining, max(step_rad, numbers.law_error * jump))
     left = change.left if change.named else by.start
     limit = numbers.foreign_misfit if of.way == "law" else numbers.misfit_ratio
@@ -300,19 +303,14 @@ def _jumps(of: Explained, residual: Array) -> tuple[Array, Array, Index]:
     return t[1:][good], np.abs(np.diff(residual))[good], place[1:][good]
 
 
-def _largest_jump(of: Explained, residual: Array, *, case: bool = True) -> float:
-    """Largest step of a residual in the case or in the references, rad; 0 where none is."""
-    _, size, place = _jumps(of, residual)
-    return float(size[(place >= of.references) == case].max(initial=0.0))
-
-
 def jump_windows(of: Explained, residual: Array, step_rad: float = 0.0) -> Windows | None:
     """From the first to the last jump that no reference has, in each recording of the case.
 
     To the recording's end where there is but one jump, or where the residual (n,) stays far larger
     than before. None where there are none.
     """
-    usual = max(_largest_jump(of, of.residual, case=False), step_rad, of.least_sd)
+    _, size, place = _jumps(of, of.residual)
+    usual = max(float(size[place < of.references].max(initial=0.0)), step_rad, of.least_sd)
     if of.way == "rest":  # the residual may be nothing but a step of the sensor
         usual = max(usual, float(np.sqrt(12)) * of.least_sd)
     numbers = DECISION.change

@@ -218,8 +218,14 @@ def _named_effect(results: Mapping[str, JointFindings], entry: Named) -> NamedEf
     before = result.finding.tried.plain.fit.servos.theta[0]
     after = result.enriched.fit.servos.theta[0]
     clause = f"there is {plain(head)}"
-    if head in SET_ANEW:
-        clause = _set_anew(head, parameters)
+    if "ratio" in parameters and head in SET_ANEW:  # relative to the references
+        x = parameters["ratio"]
+        mean, low, high = map(three_digits, (x.mean, x.q05, x.q95))
+        clause = f"{head.replace('_', ' ')} x {mean}, {low} to {high}"
+    elif head in SET_ANEW:
+        x = parameters["change_s"]
+        mean, low, high = (f"{1e3 * end:+.1f}" for end in (x.mean, x.q05, x.q95))
+        clause = f"{head} {mean} ms, {low} to {high} ms"
     elif all(p.name in parameters for p in named(head).parameters):
         values = {p.name: parameters[p.name].mean for p in named(head).parameters}
         per_inertia = result.joint.traces[0].load is PER_INERTIA
@@ -255,17 +261,6 @@ def _combined(estimates: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate
         ends = min(e[name].q05 for e in estimates), max(e[name].q95 for e in estimates)
         combined[name] = Estimate.normal(mean, sd, *ends)
     return combined
-
-
-def _set_anew(name: str, parameters: Mapping[str, Estimate]) -> str:
-    """A parameter that was set anew, relative to the references: "kp x 0.51, 0.50 to 0.52"."""
-    x = parameters["ratio" if "ratio" in parameters else "change_s"]
-    ends = x.mean, x.q05, x.q95
-    if "ratio" in parameters:
-        mean, low, high = map(three_digits, ends)
-        return f"{name.replace('_', ' ')} x {mean}, {low} to {high}"
-    mean, low, high = (f"{1e3 * end:+.1f}" for end in ends)
-    return f"{name} {mean} ms, {low} to {high} ms"
 
 
 def _of_link(entry: Named, result: JointFindings) -> str:
