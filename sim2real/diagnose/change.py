@@ -110,23 +110,30 @@ class Comparison:
         slopes = Changes(self.of.traces[R:], self.of.row, free).slopes(x)[1][0]
         return np.asarray(slopes @ root)
 
-    def _parameters(self, name: str) -> list[Parameter]:
-        """What is fitted where this has changed, with its prior."""
-        numbers, load = DECISION.change, self.load
+    def _parameters(self, name: str) -> list[tuple[Parameter, str, float, float]]:
+        """What is fitted where this has changed, with its prior, and how its size x is stated.
+
+        By its name there, and as (x + the last number) / the one before: ratios of what the servo
+        has anyway.
+        """
+        numbers, load, row = DECISION.change, self.load, self.of.row
         if name in _RATIOS:
-            value = float(self.of.row[COLUMNS.index(_RATIOS[name])])
+            value = float(row[COLUMNS.index(_RATIOS[name])])
             ends = value / 20, value * 20, LOG_UNIT, float(np.log(value))
-            return [Parameter(_RATIOS[name], *ends, numbers.ratio_sd, log=True)]
+            ratio = Parameter(_RATIOS[name], *ends, numbers.ratio_sd, log=True)
+            return [(ratio, "ratio", value, 0.0)]
         if name == _LATENCY:
-            usual = float(self.of.row[2])
-            return [Parameter(BASE[2], 0.0, 0.5, 0.01, usual, numbers.latency_sd_s)]
+            usual = float(row[2])
+            late = Parameter(BASE[2], 0.0, 0.5, 0.01, usual, numbers.latency_sd_s)
+            return [(late, "change_s", 1.0, -usual)]
         if name == LOAD:
-            sizes = zip(LOAD_COLUMNS, (load.inertia_kgm2, load.gravity_Nm), strict=True)
+            sizes = (("inertia_ratio", load.inertia_kgm2), ("ratio", load.gravity_Nm))
             return [
-                Parameter(n, -0.9 * x, 9.0 * x, 0.3 * x, 0.0, numbers.load_sd * x) for n, x in sizes
+                (Parameter(n, -0.9 * x, 9.0 * x, 0.3 * x, 0.0, numbers.load_sd * x), key, x, x)
+                for n, (key, x) in zip(LOAD_COLUMNS, sizes, strict=True)
             ]
         effect, free = named(name), []
-        for k, p in enumerate(of_effects([effect], self.of.row, self.least.inertia_kgm2)):
+        for k, p in enumerate(of_effects([effect], row, self.least.inertia_kgm2)):
             absent = k == 0 and not is_limit(effect.parameters[0])
             torque = effect.site in ("load", "friction") and p.name.endswith("torque_Nm")
             most = p.high
@@ -135,7 +142,8 @@ class Comparison:
                 most = min(most, share * self.servo.max_torque_Nm)
             low = max(p.low, -most) if p.low < 0 else min(p.low, 0.5 * most)
             middle, sd = 0.0 if absent else p.nominal, DECISION.prior_sd * p.typical
-            free.append(replace(p, low=low, high=most, nominal=middle, prior_sd=sd))
+            own = replace(p, low=low, high=most, nominal=middle, prior_sd=sd)
+            free.append((own, p.name.partition(".")[2], 1.0, 0.0))
         return free
 
     def _starts(self, row: Array) -> list[tuple[str, Array]]:
@@ -188,8 +196,9 @@ class Comparison:
 
     def fitted(self, names: Sequence[str], *starts: Array) -> Fitted:
         """Fit changes to the case, from some servos (P,)."""
-        free = [p for name in names for p in self._parameters(name)]
-        problem = replace(self.case, parameters=tuple(free))
+        own = {name: self._parameters(name) for name in names}
+        free = tuple(p for of_change in own.values() for p, *_ in of_change)
+        problem = replace(self.case, parameters=free)
         x, loss, _ = search(problem, problem.searched(np.array(starts)), (1.0, 1.0), 40)
         (error,), (slopes,) = problem.slopes(x[:1], rough=False)
         _, (prior,) = problem.prior_slopes(x[:1])
@@ -201,29 +210,15 @@ class Comparison:
         occam = 0.5 * (np.linalg.slogdet(precision)[1] - np.linalg.slogdet(known)[1])
         sd = np.sqrt(np.diag(np.linalg.pinv(precision, hermitian=True)))
         ends = problem.values(np.clip(x[0] + np.outer((-Z90, 0.0, Z90), sd), *problem.box))
+        sizes: dict[str, dict[str, Estimate]] = {name: {} for name in names}
+        for name, of_change in own.items():
+            for p, key, unit, more in reversed(of_change):
+                low, middle, high = (np.sort(ends[:, problem.names.index(p.name)]) + more) / unit
+                sizes[name][key] = Estimate(middle, (high - low) / (2 * Z90), low, high)
         before = self.case.loss(np.zeros((1, 0)), self.case.error[None], 1.0, 1.0)
         gain = 0.5 * float(before[0] - loss[0])
-        sizes = {name: self._sizes(name, problem.names, ends) for name in names}
         row = problem.rows(x[:1])[0]
         return Fitted(tuple(names), row, gain, gain - float(occam), left, bare, trust, sizes)
-
-    def _sizes(self, name: str, names: Sequence[str], ends: Array) -> dict[str, Estimate]:
-        """Values of the parameters of a change; ratios of those that the servo has anyway."""
-        sizes = dict[str, Estimate]()
-        for parameter in reversed([p.name for p in self._parameters(name)]):
-            key, before, more = parameter.partition(".")[2] or parameter, 1.0, 0.0
-            if name in _RATIOS:
-                key, before = "ratio", float(self.of.row[COLUMNS.index(parameter)])
-            elif name == _LATENCY:
-                key, more = "change_s", -float(self.of.row[2])
-            elif name == LOAD:
-                key, before = "inertia_ratio", self.load.inertia_kgm2
-                if parameter == BASE[4]:
-                    key, before = "ratio", self.load.gravity_Nm
-                more = before
-            low, middle, high = (np.sort(ends[:, names.index(parameter)]) + more) / before
-            sizes[key] = Estimate(middle, (high - low) / (2 * Z90), low, high)
-        return sizes
 
 
 @dataclass(frozen=True)
