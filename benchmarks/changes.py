@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import command_line
-from sim2real.diagnose.change import what_changed
-from sim2real.diagnose.references import law_of
+from sim2real.diagnose.references import law_of, what_changed
 from sim2real.model import FittedEffect, JointModel
 from sim2real.recording import Load
 from sim2real.robot import Servo

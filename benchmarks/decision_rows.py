@@ -139,7 +139,7 @@ def _row(answer: Row, one: JointFindings, case: Case) -> Row:
     raw = tuple(
         replace(g, probability=before.get(g.members[0], g.probability)) for g in finding.groups
     )
-    told = odds_features(replace(finding, groups=raw), one.unseen)
+    groups, whole, of_link = odds_features(replace(finding, groups=raw), one.unseen)
     small = {
         name: size_in_noise(h, name, one.joint.noise)
         for h in (tried.plain, best)
@@ -161,16 +161,16 @@ def _row(answer: Row, one: JointFindings, case: Case) -> Row:
         "excess_plain": finding.unmodelled.excess,
         "alone": {e: x - float(tried.plain.fit.loglikelihood[0]) for e, x in alone.items()},
         "step": _step(case, next(j for j in case.robot.joints if j.name == one.name)) or 0.0,
-        "whole": told.whole,
+        "whole": whole,
         "groups": [
             {
                 "members": group.members,
                 "changes": min(finding.changes(one.unseen, group.members[0]), 1e9),
                 "features": features,
             }
-            for group, features in told.groups
+            for group, features in groups
         ],
-        "link": link and {"effect": link.effect, "features": told.link},
+        "link": link and {"effect": link.effect, "features": of_link},
         "said": [[list(g.members), g.probability] for g in finding.groups],
     }
 

@@ -23,7 +23,7 @@ import pandas as pd
 
 from benchmarks.harness import command_line, real_recordings, spread, table
 from sim2real.arrays import Array
-from sim2real.diagnose.diagnose import Case, diagnose_all
+from sim2real.diagnose.diagnose import Case, diagnose_case
 from sim2real.identification.identify import identify
 from sim2real.model import Law, Model
 from sim2real.recording import Recording, read_recording
@@ -90,7 +90,7 @@ def answer(task: Task, seed: int = 0, *, diagnosed: bool = False) -> Array:
         for law, effects in choices
     ]
     if diagnosed:
-        models += [one.model for one in diagnose_all([Case(known, robot, models[-1])])]
+        models.append(diagnose_case(Case(known, robot, models[-1])).model)
     ratio = task.asked_gain / task.gain
     errors = [[residuals(model, one, ratio) for model in models] for one in asked]
     mae = [[np.mean(np.abs(e)) for e in row] for row in errors]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sim.inference.calibration import Calibration
     from sim.simulation import Simulated
     from sim2real.design.plan import Design
-    from sim2real.design.tell_apart import Request, RivalDesign
+    from sim2real.design.rivals import Request, RivalDesign
     from sim2real.diagnose.result import Diagnosis
     from sim2real.model import Model
     from sim2real.robot import Robot
@@ -299,7 +299,7 @@ def design(
     check_whole("design", "seed", seed)
     description = robot_of(robot)
     if diagnosis is not None:
-        from sim2real.design.tell_apart import Request
+        from sim2real.design.rivals import Request
 
         for name, given in (("model", model), ("inertia", inertia), ("pendulum", pendulum)):
             if given is not None:
@@ -330,25 +330,24 @@ def _telling_apart(
     diagnosis: File, robot: Robot, contexts: File | None, request: Request
 ) -> RivalDesign:
     """The recording that tells the rivals of a diagnosis apart: of servos, or a swim."""
-    from sim2real.design.tell_apart import design_for_rivals
-    from sim2real.diagnose.swim_rivals import swim_rivals_of_file
+    from sim2real.design.rivals import design_for_rivals
+    from sim2real.diagnose.rival_sets import read_diagnosis, read_rival_sets, read_swim_rivals
 
-    swims = swim_rivals_of_file(diagnosis)
-    if swims is not None:
+    found = read_diagnosis(diagnosis)
+    if found.content.get("swim_rivals") is not None:
         from sim.inference.design_swim import design_swim
 
         if contexts is not None:
-            found, expected = "--contexts with a diagnosis of swims", "no --contexts"
-            raise InputError("design", "contexts", found, expected)
-        rivals, file = swims
-        fitted = model_of(Path(diagnosis).parent / file)
+            given, expected = "--contexts with a diagnosis of swims", "no --contexts"
+            raise InputError("design", "contexts", given, expected)
+        rivals = read_swim_rivals(found)
+        fitted = model_of(Path(diagnosis).parent / found.text("model"))
         check_joints(fitted, robot)
         return design_swim(rivals, fitted, robot, request)
-    from sim2real.design.contexts import read_contexts
-    from sim2real.diagnose.rival_sets import rivals_of_file
+    from sim2real.design.limits import read_contexts
 
     offered = () if contexts is None else read_contexts(contexts)
-    return design_for_rivals(rivals_of_file(diagnosis), robot, request, offered)
+    return design_for_rivals(read_rival_sets(found), robot, request, offered)
 
 
 def check_joints(model: Model, robot: Robot) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from good_input import HEADER, MODEL, ROBOT, ROWS, SIDECAR, csv_file, message
 
-from sim2real.design.contexts import read_contexts
+from sim2real.design.limits import read_contexts
 from sim2real.hardware.tracker import open_video, read_picture
 from sim2real.model import read_model
 from sim2real.output import check_writable, write_json, write_whole

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from sim2real.commands.command import EXECUTOR, add_options, where_jobs_run
-from sim2real.diagnose.diagnose import Case, diagnose_all
+from sim2real.diagnose.diagnose import Case, diagnose_case
 from sim2real.diagnose.result import Diagnosis, write_diagnosis
 from sim2real.executor import Job, run_jobs
 from sim2real.executor.job import NOT_STARTED
@@ -108,7 +108,7 @@ def _write(target: Path, found: Diagnosis, plain: Model) -> None:
 
 def answers(folders: Sequence[Path]) -> list[tuple[Diagnosis, Model]]:
     """The diagnosis and the plain model of each case, against its references where it has some."""
-    found = diagnose_all([_case(folder) for folder in folders])
+    found = [diagnose_case(_case(folder)) for folder in folders]
     return [(one, plain_model(one)) for one in found]
 
 

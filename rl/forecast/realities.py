@@ -22,7 +22,7 @@ from sim.inference.swims import by_twin, simulated, swim_of, with_values
 from sim.twin.law import is_calibrated
 from sim2real.arrays import Array
 from sim2real.body import values
-from sim2real.diagnose.rival_sets import SCHEMA, JointRivals, read_rival_sets
+from sim2real.diagnose.rival_sets import JointRivals, read_diagnosis, read_rival_sets
 from sim2real.effects import BODY, CAMERA, CATALOGUE, find
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel, Model
@@ -132,7 +132,7 @@ def read_diagnosed(path: str | os.PathLike[str]) -> Diagnosed:
     is half of its detection limit, give or take as much; in swims, which have no such limits, that
     of the twin's error which imitates it.
     """
-    top = Fields(path, "", read_json(path, SCHEMA))
+    top = read_diagnosis(path)
 
     def entries(key: str) -> list[Fields]:
         return top.tables(key) if top.content.get(key) else []

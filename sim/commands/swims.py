@@ -10,7 +10,7 @@ from sim.robot.swimmer import CONTROL_S
 from sim.simulation import SupersonicFlow
 from sim2real.commands.command import arguments_of
 from sim2real.commands.files import check_views, write_views
-from sim2real.design.tell_apart import RivalDesign
+from sim2real.design.rivals import RivalDesign
 from sim2real.errors import InputError, if_installed
 from sim2real.model import write_model
 from sim2real.output import beside, check_writable, write_json

@@ -24,10 +24,9 @@ from sim.twin.twin import Twin
 from sim2real.arrays import Array
 from sim2real.design.limits import CommandLimits, check_seconds, limits_of
 from sim2real.design.plan import commands_without_angles
-from sim2real.design.rivals import RivalObjective, root_of_inverse
+from sim2real.design.rivals import Request, RivalDesign, RivalObjective, forecast, root_of_inverse
 from sim2real.design.search import best
-from sim2real.design.tell_apart import Request, RivalDesign, forecast
-from sim2real.diagnose.swim_rivals import SwimRivals
+from sim2real.diagnose.rival_sets import SwimRivals
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot

@@ -34,8 +34,7 @@ from sim2real.diagnose.result import (
     Rival,
     to_design,
 )
-from sim2real.diagnose.rival_sets import design_of, separations
-from sim2real.diagnose.swim_rivals import SwimRivals, SwimSet
+from sim2real.diagnose.rival_sets import SwimRivals, SwimSet, design_of, separations
 from sim2real.effects import named
 from sim2real.inference.selection import Hypothesis
 from sim2real.model import Model

@@ -15,7 +15,6 @@ set-point that is lost is an error of the command by its last change.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -39,16 +38,6 @@ GAINS = BASE[:3]
 
 
 @dataclass(frozen=True)
-class AngleError:
-    """Errors of the measured angle about the model; late set-points count as lost by the square."""
-
-    white_rad: float  # standard deviation of independent errors, quantisation included
-    angle_rad: float  # of errors that repeat with the angle: an eccentric sensor, cogging
-    angle_scale_rad: float = 0.1  # angle over which these change
-    lost: float = 0.0025  # probability that a set-point does not arrive in its period
-
-
-@dataclass(frozen=True)
 class ServoPrior:
     """Draws of a servo, its parameters that the next recording is to determine, and the noise."""
 
@@ -58,7 +47,12 @@ class ServoPrior:
     # there is none, shape (F,)
     sd: Array
     load: Load  # the load on the shaft
-    noise: AngleError  # errors of the measured angle
+    # standard deviations of errors of the measured angle: independent ones, quantisation included,
+    # and those that repeat with the angle, as of an eccentric sensor or cogging
+    white_rad: float
+    angle_rad: float
+    # probability that a set-point does not arrive in its period, late ones by the square
+    lost: float
 
     @property
     def values(self) -> Array:
@@ -92,32 +86,29 @@ def prior_of(
     rows[:, columns] *= np.exp(points @ root.T)
     known = {} if motor is None else {p.name: p.prior_sd for p in motor.parameters if p.log}
     sd = np.array([known.get(name, np.inf) for name in names])
-    return ServoPrior(names, rows, sd, load, _noise(model, limits))
+    return ServoPrior(names, rows, sd, load, *_noise(model, limits))
 
 
-def _noise(model: Model | None, limits: CommandLimits) -> AngleError:
+def _noise(model: Model | None, limits: CommandLimits) -> tuple[float, float, float]:
     """Errors of the angle that the model states, or else usual ones and the sheet's rounding."""
-    white = float(np.hypot(1e-3, limits.resolution_rad / np.sqrt(12)))
+    white, lost = float(np.hypot(1e-3, limits.resolution_rad / np.sqrt(12))), 0.0025
     joint = None if model is None else model.joints.get(limits.joint)
     if model is None or joint is None:
-        return AngleError(white, white)
+        return white, white, lost
     figures = model.fit.get(f"{limits.joint}.position_rad", {})
     white = float(figures.get("noise") or white)
     train = float(figures.get("train") or white)
-    losses = [
-        effect.parameters["probability"]
-        for effect in (*joint.effects, *model.effects)
-        if effect.effect == "packet_loss"
-    ]
-    by_angle = float(np.sqrt(max(train**2 - white**2, (0.3 * white) ** 2)))
-    return AngleError(white, by_angle, lost=max([AngleError.lost, *losses]))
+    for effect in (*joint.effects, *model.effects):
+        if effect.effect == "packet_loss":
+            lost = max(lost, effect.parameters["probability"])
+    return white, float(np.sqrt(max(train**2 - white**2, (0.3 * white) ** 2))), lost
 
 
 Belief = tuple[tuple[str, ...], Array, Array]
 """Names of F parameters, a servo (P,), and a root of the covariance of their logarithms (F, F)."""
 
 
-def _of_model(joint: JointModel, load: Load, *, widest_sd: float = 0.5) -> Belief:
+def _of_model(joint: JointModel, load: Load) -> Belief:
     """A fitted joint, with its intervals and their correlations."""
     row = joint_row(joint, load)
     known = [n for n in joint.interval if n in COLUMNS and row[COLUMNS.index(n)] > 0]
@@ -125,7 +116,7 @@ def _of_model(joint: JointModel, load: Load, *, widest_sd: float = 0.5) -> Belie
     values = row[[COLUMNS.index(name) for name in names]]
     ends = np.array([joint.interval.get(name, (0.0, np.inf)) for name in names])
     half = (ends[:, 1] - ends[:, 0]) / (2 * Z90 * np.maximum(values, 1e-12))
-    sd = np.where(np.isfinite(half), np.minimum(half, widest_sd), widest_sd)
+    sd = np.where(np.isfinite(half), np.minimum(half, 0.5), 0.5)
     correlation = np.eye(len(names))
     for pair, value in joint.correlation.items():
         places = [names.index(name) for name in pair.split(", ") if name in names]
@@ -135,25 +126,15 @@ def _of_model(joint: JointModel, load: Load, *, widest_sd: float = 0.5) -> Belie
     return names, row, sd[:, None] * directions * np.sqrt(np.maximum(level, 0.0))
 
 
-def _of_sheet(
-    motor: MotorPrior | None,
-    still: Trace,
-    *,
-    frequency_rad_s: tuple[float, float] = (24.0, 0.4),
-    damping_ratio: tuple[float, float] = (0.72, 0.34),
-    latency_s: tuple[float, float] = (0.028, 0.6),
-) -> Belief:
-    """A servo as the data sheet says, of usual frequency, damping ratio and latency.
-
-    Each has its median and the standard deviation of its logarithm.
-    """
-    usual = np.array([frequency_rad_s, damping_ratio, latency_s])
-    frequency, damping, latency = usual[:, 0]
+def _of_sheet(motor: MotorPrior | None, still: Trace) -> Belief:
+    """A servo as the data sheet says, of usual frequency, damping ratio and latency."""
+    # medians in rad/s, 1 and s, and standard deviations of the logarithms
+    (frequency, damping, latency), sd = (24.0, 0.72, 0.028), np.array([0.4, 0.34, 0.6])
     line: tuple[str, ...] = ()
     row = plain_row(0.0, 0.0, latency)
     row[3:5] = still.load.inertia_kgm2, still.load.gravity_Nm
     # kp is the frequency squared, kd twice the ratio times the frequency, times the inertia
-    root = np.array([[2.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]) * usual[:, 1]
+    root = np.array([[2.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]) * sd
     if motor is not None:
         line = (*LINE, ROTOR) if shows_inertia([still]) else LINE
         parameters = [motor[name] for name in line]
@@ -180,65 +161,55 @@ def rms_torque(load: Load, angle: Array, period_s: float) -> Array:
     return np.asarray(np.sqrt(np.mean(torque**2, axis=-1)))
 
 
-class Precision(NamedTuple):
-    """Expected precision of F parameters after each of N commands, for D servos."""
-
-    covariance: Array  # covariance of the logarithms of the parameters, shape (N, D, F, F)
-    rms_torque_Nm: Array  # root mean square of the torque that the motion takes, shape (N, D)
-
-    @property
-    def half_width(self) -> Array:
-        """Half-widths of 90 % intervals, relative to the parameters, shape (N, D, F)."""
-        variance = np.diagonal(self.covariance, axis1=2, axis2=3)
-        return np.asarray(Z90 * np.sqrt(np.maximum(variance, 1e-18)))
-
-
 @dataclass(frozen=True)
 class Information:
     """Scores commands by how precisely a fit to their recording would determine a servo."""
 
     prior: ServoPrior  # prior of the servo
     limits: CommandLimits  # limits of the commands
-    features: int = 16  # number of Fourier features of the errors that repeat with the angle
-    # weight of the mean logarithm of all widths; that of the widest of the gains is 1
-    others: float = 0.3
 
     def __call__(self, commands: Array) -> Array:
         """Score of each command (N, T), shape (N,).
 
-        Minus logarithms of the widest interval of gains and latency and of all, averaged over the
-        prior, less a penalty beyond the torque budget.
+        Minus logarithms of the widest interval of gains and latency and, with a weight of 0.3, of
+        all, averaged over the prior, less a penalty beyond the torque budget.
         """
-        precision = self.precision(commands)
-        log_width = np.log(precision.half_width)
+        half_width, torque = self.precision(commands)
+        log_width = np.log(half_width)
         worst = log_width[:, :, : len(GAINS)].max(axis=2)
-        score = -(worst + self.others * log_width.mean(axis=2)).mean(axis=1)
+        score = -(worst + 0.3 * log_width.mean(axis=2)).mean(axis=1)
         known = self.prior.load is not PER_INERTIA
-        excess = precision.rms_torque_Nm / (self.limits.rms_torque_Nm if known else np.inf) - 1
+        excess = torque / (self.limits.rms_torque_Nm if known else np.inf) - 1
         return np.asarray(score - 10 * np.maximum(excess, 0.0).mean(axis=1))
 
-    def precision(self, commands: Array) -> Precision:
-        """Expected precision after each command (N, T)."""
-        noise, period = self.prior.noise, self.limits.period_s
+    def precision(self, commands: Array) -> tuple[Array, Array]:
+        """What is expected of a recording of each command (N, T).
+
+        Half-widths of 90 % intervals, relative to the parameters of each servo, shape (N, D, F),
+        and the root mean square of the torque that the motion takes, N m, shape (N, D).
+        """
+        stated, period = self.prior, self.limits.period_s
         angle, slopes = self.sensitivities(commands)
         transposed = np.swapaxes(slopes, 2, 3)
         # the same waves for all commands that are compared
         rng = np.random.default_rng(0)
-        number = rng.standard_normal(self.features) / noise.angle_scale_rad
-        phase = rng.uniform(0, 2 * np.pi, self.features)
+        number = rng.standard_normal(16) / 0.1  # rad over which these errors change
+        phase = rng.uniform(0, 2 * np.pi, number.size)
         some = np.s_[:, :, ::2]  # errors by the angle change slowly
         wave = np.cos(angle[some][..., None] * number + phase)
         by_angle = 2 * np.swapaxes(slopes[some], 2, 3) @ wave
         change2 = np.diff(commands, axis=1, prepend=commands[:, :1])[:, None, :, None] ** 2
         by_loss = self._by_command(slopes)
-        white2 = noise.white_rad**2
+        white2 = stated.white_rad**2
         prior = np.diag(1 / self.prior.sd**2 + 1e-3)  # so that it has an inverse
         gram = transposed @ slopes / white2
-        repeated = noise.angle_rad**2 * 2 / self.features * by_angle @ np.swapaxes(by_angle, 2, 3)
-        lost = noise.lost * np.swapaxes(by_loss, 2, 3) @ (change2 * by_loss)
+        repeated = stated.angle_rad**2 * 2 / number.size * by_angle @ np.swapaxes(by_angle, 2, 3)
+        lost = stated.lost * np.swapaxes(by_loss, 2, 3) @ (change2 * by_loss)
         inverse = np.linalg.inv(gram + prior)
         covariance = inverse @ (gram + (repeated + lost) / white2**2 + prior) @ inverse
-        return Precision(covariance, rms_torque(self.prior.load, angle, period))
+        variance = np.diagonal(covariance, axis1=2, axis2=3)
+        half_width = np.asarray(Z90 * np.sqrt(np.maximum(variance, 1e-18)))
+        return half_width, rms_torque(self.prior.load, angle, period)
 
     def sensitivities(self, commands: Array) -> tuple[Array, Array]:
         """Angles in rad, shape (N, D, T), and derivatives by logarithms, shape (N, D, T, F)."""

@@ -1,18 +1,22 @@
-"""What the commands of one joint may be: range, rate, acceleration, resolution, rest at both ends.
+"""What a recording may be: limits of the commands of a joint, and contexts that a bench offers.
 
 Commands that keep the limits are played by ``sim2real record`` without a change.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from sim2real.arrays import Array, Integers
+from sim2real.diagnose.rival_sets import JointRivals
 from sim2real.errors import InputError
-from sim2real.recording import Load
+from sim2real.recording import Load, read_load
 from sim2real.robot import Joint, Robot
+from sim2real.structured import Fields, read_toml
 
 PERIOD_S = 0.02
 """Sample period of the recorder, s."""
@@ -32,15 +36,12 @@ class CommandLimits:
     joint: str  # name of the joint
     position_rad: tuple[float, float]  # smallest and largest set-point, rad
     rate_rad_s: float  # largest rate of the set-point, the servo's no-load speed, rad/s
-    # the servo's stall torque, N m; infinite where the data sheet does not state it
-    torque_Nm: float = np.inf
+    torque_Nm: float = np.inf  # stall torque, N m; infinite where the data sheet states none
     rms_torque_Nm: float = np.inf  # largest root mean square of the torque over the recording, N m
     period_s: float = PERIOD_S  # time between set-points, s
     resolution_rad: float = _FINEST_RAD  # set-points are multiples of it, rad
     rest_s: float = 1.0  # time at rest at either end, in which the noise is estimated, s
-    # angle beyond which the servo cannot hold its load, rad; infinite where that does not narrow
-    # the range
-    largest_held_rad: float = np.inf
+    largest_held_rad: float = np.inf  # beyond it the servo cannot hold its load, rad, if narrower
 
     @property
     def ticks(self) -> tuple[int, int]:
@@ -71,14 +72,11 @@ class CommandLimits:
         return np.asarray(np.arange(round(seconds / self.period_s)) * self.period_s)
 
     def within(self, commands: Array) -> Array:
-        """Set-points changed as little as needed to keep the limits, shape (N, T).
-
-        They are clipped to the range, held at rest at both ends, rounded to the resolution, and
-        their rate is limited; towards the end the range narrows so that rest is reached in time.
-        """
+        """Set-points changed as little as needed to keep the limits, shape (N, T)."""
         low, high = self.ticks
         rest, most, T = round((low + high) / 2), self.most_ticks, commands.shape[1]
         still = round(self.rest_s / self.period_s)
+        # towards the end the range narrows so that rest is reached in time
         until_end = np.maximum(np.arange(T)[::-1] + 1 - still, 0) * most
         wanted: Integers = np.clip(np.round(commands / self.resolution_rad), low, high).astype(int)
         lowest, highest = np.maximum(low, rest - until_end), np.minimum(high, rest + until_end)
@@ -118,10 +116,10 @@ def limits_of(robot: Robot, joint: str | None = None) -> CommandLimits:
     return limits
 
 
-def check_seconds(seconds: float, limits: CommandLimits, *, least_motion_s: float = 1.0) -> None:
+def check_seconds(seconds: float, limits: CommandLimits) -> None:
     """Raise an InputError unless a recording is long enough to move, and at most a day."""
     returning = limits.reach_rad / limits.rate_rad_s
-    shortest = 2 * (limits.rest_s + returning) + least_motion_s
+    shortest = 2 * (limits.rest_s + returning) + 1.0
     if not shortest <= seconds <= 86_400:
         joint = limits.joint
         expected = f"{shortest:.1f} s for {joint} to move and come to rest, to a day"
@@ -157,3 +155,50 @@ def _joint(robot: Robot, name: str | None) -> Joint:
         where = robot.path or robot.name
         raise InputError(where, "joints", f"no joint {name!r}", f"one of {known}")
     return joint
+
+
+@dataclass(frozen=True)
+class Context:
+    """One way to set up the bench: what a user can change besides the commands."""
+
+    name: str = "as it is"  # what the user calls it
+    # loads by joint that replace those of the recordings so far
+    loads: Mapping[str, Load] = field(default_factory=dict)
+    supply: float = 1.0  # supply voltage, relative to that of the recordings so far
+    gain: float = 1.0  # proportional gain of the firmware, relative to that of these recordings
+
+    def load(self, rivals: JointRivals) -> Load:
+        """Load of a joint in this context."""
+        return self.loads.get(rivals.component, rivals.load)
+
+
+AS_IT_IS = Context()
+"""The bench of the recordings so far."""
+
+
+def read_contexts(path: str | os.PathLike[str]) -> tuple[Context, ...]:
+    """The contexts of a ``contexts.toml``; InputError if one is not valid."""
+    top = Fields(path, "", read_toml(path))
+    top.refuse_unknown(["contexts"])
+    contexts: dict[str, Context] = {}
+    for entry in top.tables("contexts"):
+        entry.refuse_unknown(["name", "loads", "supply_ratio", "gain_ratio"])
+        name, loads = entry.text("name"), entry.table("loads")
+        by_joint = {joint: read_load(loads.table(joint)) for joint in loads.content}
+        context = Context(
+            name, by_joint, *(_ratio(entry, of) for of in ("supply_ratio", "gain_ratio"))
+        )
+        if context == Context(name):
+            expected = "loads, supply_ratio or gain_ratio"
+            raise InputError(path, entry.where, "a context that changes nothing", expected)
+        if name in contexts:
+            raise InputError(path, "contexts", f"two contexts named {name!r}", "one of each name")
+        contexts[name] = context
+    return tuple(contexts.values())
+
+
+def _ratio(entry: Fields, name: str) -> float:
+    value = entry.number(name, 1.0, above=0.0)
+    if not 1e-3 <= value <= 1e3:
+        raise entry.error(name, "a ratio from 0.001 to 1000")
+    return value

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.design.information import Information, Precision, ServoPrior, prior_of
-from sim2real.design.limits import CommandLimits, check_seconds, holding, limits_of
+from sim2real.design.information import Information, prior_of
+from sim2real.design.limits import check_seconds, holding, limits_of
 from sim2real.design.search import SearchResult, best, part
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
@@ -76,26 +77,15 @@ class JointDesign:
 
     information: Information  # the objective: the prior of the servo, and the limits
     found: SearchResult  # the result of the search
-    precision: Precision  # expected precision of the parameters, of one command (N = 1)
     origin: str  # what the prior comes from, ``"model"`` or ``"data sheet"``
 
-    @property
-    def prior(self) -> ServoPrior:
-        """The prior of the servo."""
-        return self.information.prior
-
-    @property
-    def limits(self) -> CommandLimits:
-        """Limits of the commands."""
-        return self.information.limits
-
-    @property
+    @cached_property
     def expected(self) -> dict[str, float]:
         """Half-width of the expected 90 % interval of each parameter, relative to its value.
 
         The geometric mean over the servos of the prior.
         """
-        return dict(zip(self.prior.names, _mean(self.precision).tolist(), strict=True))
+        return dict(zip(self.information.prior.names, self.over_time(1)[0].tolist(), strict=True))
 
     @property
     def determined(self) -> dict[str, bool]:
@@ -103,7 +93,7 @@ class JointDesign:
 
         Before, it is that of the prior, or the parameter itself where there is none.
         """
-        before = np.minimum(Z90 * self.prior.sd, 1.0)
+        before = np.minimum(Z90 * self.information.prior.sd, 1.0)
         return {
             name: bool(width < 0.5 * most)
             for (name, width), most in zip(self.expected.items(), before, strict=True)
@@ -113,25 +103,27 @@ class JointDesign:
         """Expected half-widths after each of some equal parts of the command, shape (parts, F)."""
         command = self.found.command
         ends = np.linspace(0, command.size, parts + 1)[1:].astype(int)
-        return np.array([_mean(self.information.precision(command[None, :end])) for end in ends])
+        widths = [self.information.precision(command[None, :end])[0][0] for end in ends]
+        return np.exp([np.log(width).mean(axis=0) for width in widths])
 
     def content(self) -> dict[str, Any]:
         """What is expected, for the JSON file."""
         determined, expected = self.determined, dict[str, dict[str, Any]]()
-        values = self.prior.values[0].tolist()
+        prior = self.information.prior
+        values = prior.values[0].tolist()
         for (name, width), value in zip(self.expected.items(), values, strict=True):
             expected[name] = {"relative_half_width": width, "determined": determined[name]}
             if self.origin == MODEL:
                 expected[name]["interval"] = [value * (1 - width), value * (1 + width)]
-        torque = float(self.precision.rms_torque_Nm.mean())
+        torque = float(self.information.precision(self.found.command[None])[1].mean())
         return {
             "belief": self.origin,
             "expected": expected,
-            "noise_rad": self.prior.noise.white_rad,
-            "angle_error_rad": self.prior.noise.angle_rad,
-            "rms_torque_Nm": None if self.prior.load is PER_INERTIA else torque,
+            "noise_rad": prior.white_rad,
+            "angle_error_rad": prior.angle_rad,
+            "rms_torque_Nm": None if prior.load is PER_INERTIA else torque,
             "commands_compared": self.found.evaluated,
-            "range_rad": list(self.limits.position_rad),
+            "range_rad": list(self.information.limits.position_rad),
         }
 
 
@@ -170,14 +162,17 @@ def design(
             information, information.limits, seconds, rng=np.random.default_rng([seed, k]),
             drawn=drawn, rounds=rounds, progress=part(progress, k, len(limits)),
         )  # fmt: skip
-        precision = information.precision(found.command[None])
-        joints[name] = JointDesign(information, found, precision, MODEL if model else SHEET)
+        joints[name] = JointDesign(information, found, MODEL if model else SHEET)
     commands = commands_without_angles(
         next(iter(limits.values())).times(seconds),
         {name: joint.found.command for name, joint in joints.items()},
         {"design": {name: joint.content() for name, joint in joints.items()}},
         kind="servo",
-        loads={n: x.prior.load for n, x in joints.items() if x.prior.load is not PER_INERTIA},
+        loads={
+            name: load
+            for name, joint in joints.items()
+            if (load := joint.information.prior.load) is not PER_INERTIA
+        },
     )
     return Design(commands, joints)
 
@@ -197,8 +192,3 @@ def stated_loads(
 def _designed_joints(robot: Robot, model: Model | None) -> list[str]:
     """Joints of the robot that the model has; all of them without a model."""
     return [j.name for j in robot.joints if model is None or j.name in model.joints]
-
-
-def _mean(precision: Precision) -> Array:
-    """Geometric mean over servos of the half-widths after one command, shape (F,)."""
-    return np.asarray(np.exp(np.log(precision.half_width[0]).mean(axis=0)))

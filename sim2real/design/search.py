@@ -82,8 +82,7 @@ def _scaled(wave: Array, rng: np.random.Generator) -> Array:
 Limits = Any
 """``CommandLimits`` of one joint, or limits of several with the same attributes."""
 Draw = Callable[[np.random.Generator, int, Limits, float], Array]
-"""A function of a generator, a number N, limits and a duration in s that returns random commands
-within the limits, shape (N, T), or (N, T, J) of several joints."""
+"""As ``draw``, of several joints (N, T, J)."""
 
 
 @dataclass(frozen=True)
@@ -116,8 +115,7 @@ def best(
 
     The ``objective`` goes from commands (N, T), or (N, T, J) of several joints, in rad to their
     scores (N,); -inf excludes a command. ``drawn`` random commands are scored, ``batch`` at a time,
-    and the best varied in ``rounds`` of that many; ``progress`` is called with the share that is
-    done.
+    and the best varied in ``rounds`` of that many.
     """
     pool = draw(rng, drawn, limits, seconds)
     batches = np.array_split(pool, max(1, -(-drawn // batch)))

@@ -8,7 +8,7 @@ the diagnosis and for ``benchmarks/calibrate_decisions.py``, which fitted the we
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,16 +24,6 @@ from sim2real.identification.servo_problem import Hypothesis, Set
 Features = dict[str, float]
 Errors = Mapping[Set, Unseen]
 """Errors on held-out data, by set of effects."""
-
-
-@dataclass(frozen=True)
-class OddsFeatures:
-    """Features of the curves, for one joint."""
-
-    # groups of effects, each with the features of the curve "effect"
-    groups: tuple[tuple[Group, Features], ...]
-    whole: Features  # features of the curves "mismatch" and "uncatalogued"
-    link: Features | None  # features of the curve "link"; None where the command timing is regular
 
 
 def _logarithm(low: float, high: float) -> Callable[[float], float]:
@@ -55,22 +45,26 @@ _SCALES: Mapping[str, Callable[[float], float]] = {
 }
 """Transformation of each measure before it is weighted; identity for all others."""
 
-_JOINT_FEATURES = ("excess_plain", "error_plain", "error")
-"""Features of the joint that the curve "effect" has too."""
-
 
 def scaled(**measured: float) -> Features:
     """Transformed measures, and the constant of the intercept."""
     return {"intercept": 1.0} | {name: _SCALES.get(name, float)(x) for name, x in measured.items()}
 
 
-def odds_features(finding: Finding, unseen: Errors) -> OddsFeatures:
-    """The features of all findings of a joint."""
+def odds_features(
+    finding: Finding, unseen: Errors
+) -> tuple[list[tuple[Group, Features]], Features, Features | None]:
+    """The features of all findings of a joint.
+
+    Returns:
+        Groups of effects, each with the features of the curve "effect"; features of the curves
+        "mismatch" and "uncatalogued"; and those of the curve "link", None where the command timing
+        is regular.
+    """
     tried, best, link, without = finding.tried, finding.best, finding.link, finding.unmodelled
     no_findings = {ROUNDING, *(link.sizes if link is not None else ())}
     groups = [g for g in finding.groups if no_findings.isdisjoint(g.members)]
     changes = [finding.changes(unseen, g.head) for g in groups]
-    matter = sum(change >= DECISION.negligible for change in changes)
     smooth = without.smooth.evidence(float(best.fit.count[0]))
     # Evidence by which a smooth function, which names no effect, exceeds the best set.
     lead = smooth - (best.evidence - tried.plain.evidence)
@@ -89,20 +83,22 @@ def odds_features(finding: Finding, unseen: Errors) -> OddsFeatures:
         uncatalogued_lead=lead,
         named_evidence=best.evidence - servo.evidence,
         remaining_gain=gain / max(limit, 1e-9),
-        groups=matter,
+        groups=sum(change >= DECISION.negligible for change in changes),
         error_plain=1.0 if plain is None else plain.error / finding.noise,
         error=1.0 if enriched is None else enriched.error / finding.noise,
     )
-    of_joint = {f"joint {name}": whole[name] for name in _JOINT_FEATURES}
+    of_joint = {f"joint {name}": whole[name] for name in ("excess_plain", "error_plain", "error")}
     of_groups = []
     for group, change in zip(groups, changes, strict=True):
-        head = group.head
-        fewer = tried.tried.get(best.members - {head}, tried.plain)
+        fewer = tried.tried.get(best.members - {group.head}, tried.plain)
+        as_large = float(len(changes))  # groups that lower the error as much; smaller ones in part
+        if np.isfinite(change) and change > 0:
+            as_large = float(sum(np.clip(other / change, 0.0, 1.0) for other in changes))
         features = scaled(
             probability=group.probability,
             evidence=best.evidence - fewer.evidence,
             error_change=change,
-            groups=_as_large(changes, change) - 1,
+            groups=as_large - 1,
             excess=finding.excess,
             uncatalogued_lead=lead,
         )
@@ -116,31 +112,19 @@ def odds_features(finding: Finding, unseen: Errors) -> OddsFeatures:
             irregularity=finding.irregularity,
             single_joint=len(link.shares) == 1,
         )
-    return OddsFeatures(tuple(of_groups), whole, of_link)
-
-
-def _as_large(changes: Sequence[float], change: float) -> float:
-    """Number of groups that lower the error as much as one of them; smaller ones count in part."""
-    if not np.isfinite(change) or change <= 0:
-        return float(len(changes))
-    return float(sum(np.clip(other / change, 0.0, 1.0) for other in changes))
+    return of_groups, whole, of_link
 
 
 def judged_together(findings: Sequence[Finding], unseen: Sequence[Errors]) -> list[Finding]:
     """The findings of one robot's joints, see ``judged``; its link is as likely on all of them."""
     pairs = list(zip(findings, unseen, strict=True))
     shared = [f.link is not None and len(f.link.shares) > 1 for f in findings]
-    some = (pair for pair, is_shared in zip(pairs, shared, strict=True) if is_shared)
-    largest = max((_link_probability(odds_features(*pair)) for pair in some), default=0.0)
+    links = [odds_features(*x)[2] for x, is_shared in zip(pairs, shared, strict=True) if is_shared]
+    largest = max((ODDS["link"].probability(x) for x in links if x is not None), default=0.0)
     return [
         judged(*pair, link_probability=largest if is_shared else 0.0)
         for pair, is_shared in zip(pairs, shared, strict=True)
     ]
-
-
-def _link_probability(features: OddsFeatures) -> float:
-    """Probability of irregular command timing by its curve; 0 where the timing is regular."""
-    return 0.0 if features.link is None else ODDS["link"].probability(features.link)
 
 
 def judged(finding: Finding, unseen: Errors, *, link_probability: float = 0.0) -> Finding:
@@ -150,9 +134,9 @@ def judged(finding: Finding, unseen: Errors, *, link_probability: float = 0.0) -
     every sensor has a little of, here larger than usual. ``link_probability`` is that of the link's
     effect as other joints show it.
     """
-    features = odds_features(finding, unseen)
-    link_probability = max(link_probability, _link_probability(features))
-    whole = features.whole
+    of_groups, whole, of_link = odds_features(finding, unseen)
+    if of_link is not None:
+        link_probability = max(link_probability, ODDS["link"].probability(of_link))
     if link_probability >= DECISION.named:
         # No model predicts when set-points are lost or late on another recording, so that held-out
         # errors and segments with a mismatch tell nothing of physics outside the catalogue.
@@ -162,11 +146,11 @@ def judged(finding: Finding, unseen: Errors, *, link_probability: float = 0.0) -
             smooth_evidence=0.0, windows_evidence=0.0,
         )  # fmt: skip
     unknown = ODDS["uncatalogued"].probability(whole)
-    if any(named(g.head).never_named for g, _ in features.groups):
+    if any(named(g.head).never_named for g, _ in of_groups):
         unknown = max(unknown, DECISION.uncatalogued_probability)
     groups = [
         Group(g.members, _stated(ODDS["effect"].probability(of_name), unknown, change))
-        for g, of_name in features.groups
+        for g, of_name in of_groups
         if not named(g.head).never_named and not includes_zero(finding.tried, finding.best, g.head)
         for change in [finding.changes(unseen, g.head)]
     ]
@@ -209,58 +193,44 @@ def judged_and_offered(
 
     Findings against references are judged already: they are offered as they are named.
     """
+    pairs = zip(joints, findings, strict=True)
+    offered = [JointFindings(joint, one, one.best, one.best, {}) for joint, one in pairs]
     searched = [j for j, joint in enumerate(joints) if not joint.references]
-    errors = [dict[Set, Unseen]() for _ in joints]
-    for j in searched:
+    errors = [dict[Set, Unseen]() for _ in searched]
+    for unseen, j in zip(errors, searched, strict=True):
         best, base = findings[j].best.members, findings[j].tried.base
-        fewer = (best - {effect} for effect in best - base)
-        _score(errors[j], joints[j], findings[j], [base, best, *fewer])
-    judged_ones = judged_together([findings[j] for j in searched], [errors[j] for j in searched])
-    judgements = dict(zip(searched, judged_ones, strict=True))
-    return [
-        _offered(joint, judgements[j], errors[j])
-        if j in judgements
-        else JointFindings(joint, finding, finding.best, finding.best, {})
-        for j, (joint, finding) in enumerate(zip(joints, findings, strict=True))
-    ]
+        _score(unseen, offered[j], base, best, *(best - {effect} for effect in best - base))
+    judged_ones = judged_together([findings[j] for j in searched], errors)
+    for unseen, j, finding in zip(errors, searched, judged_ones, strict=True):
+        offered[j] = _offered(replace(offered[j], finding=finding, unseen=unseen), unseen)
+    return offered
 
 
-def _offered(joint: JointCase, finding: Finding, unseen: dict[Set, Unseen]) -> JointFindings:
-    """A joint with the servo of its enriched model, chosen by held-out errors."""
-    enriched, best = _with_named(finding), finding.best
-    _score(unseen, joint, finding, [enriched.members])
+def _score(unseen: dict[Set, Unseen], joint: JointFindings, *sets: Set) -> None:
+    """Add the held-out errors of those sets of effects that were tried and have none yet."""
+    tried = joint.finding.tried.tried
+    new = [s for s in dict.fromkeys(sets) if s in tried and s not in unseen]
+    scores = held_out([joint.joint.traces] * len(new), [tried[s].fit.servos for s in new])
+    unseen.update((s, x) for s, x in zip(new, scores, strict=True) if x is not None)
+
+
+def _offered(joint: JointFindings, unseen: dict[Set, Unseen]) -> JointFindings:
+    """A judged joint with the servo of its enriched model, chosen by held-out errors."""
+    finding, tried, best = joint.finding, joint.finding.tried, joint.finding.best
+    heads = {g.head for g in finding.groups if g.probability >= DECISION.named}
+    # what is named, and no findings as they are
+    wanted = best.members - (finding.effects - heads)
+    if finding.link is not None:
+        wanted &= heads | {name for name in wanted if named(name).everywhere}
+    enriched = tried.tried.get(tried.base | wanted, best if heads else tried.plain)
+    _score(unseen, joint, enriched.members)
     less, more = unseen.get(enriched.members), unseen.get(best.members)
     # All of the most probable set may predict better than what is named of it.
     if finding.mismatch and finding.link is None and less is not None and more is not None:
         enriched = best if more.error < less.error else enriched
     fewer = simpler(finding, enriched, unseen)
-    _score(unseen, joint, finding, [fewer])
-    return JointFindings(joint, finding, enriched, offer(finding, enriched, fewer, unseen), unseen)
-
-
-def _score(
-    unseen: dict[Set, Unseen],
-    joint: JointCase,
-    finding: Finding,
-    sets: Sequence[Set],
-) -> None:
-    """Add the held-out errors of those sets of effects that were tried and have none yet."""
-    tried = finding.tried.tried
-    new = [s for s in dict.fromkeys(sets) if s in tried and s not in unseen]
-    if new:
-        servos = [tried[s].fit.servos for s in new]
-        scores = held_out([joint.traces] * len(new), servos)
-        unseen.update((s, x) for s, x in zip(new, scores, strict=True) if x is not None)
-
-
-def _with_named(finding: Finding) -> Hypothesis:
-    """The servo with what is named on the joint, or the plain one; no findings stay as they are."""
-    tried, best = finding.tried, finding.best
-    heads = {g.head for g in finding.groups if g.probability >= DECISION.named}
-    wanted = best.members - (finding.effects - heads)
-    if finding.link is not None:
-        wanted &= heads | {name for name in wanted if named(name).everywhere}
-    return tried.tried.get(tried.base | wanted, best if heads else tried.plain)
+    _score(unseen, joint, fewer)
+    return replace(joint, enriched=enriched, offered=offer(finding, enriched, fewer, unseen))
 
 
 def simpler(finding: Finding, enriched: Hypothesis, unseen: Errors) -> Set:

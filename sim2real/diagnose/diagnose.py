@@ -30,7 +30,7 @@ from sim2real.diagnose.rival_sets import with_open_sets
 from sim2real.diagnose.screening import NUISANCES
 from sim2real.diagnose.servo_search import ServoSearch, baselines, plain_sets
 from sim2real.diagnose.torque_speed_line import with_limits
-from sim2real.diagnose.wording import diagnosis, with_checks
+from sim2real.diagnose.wording import diagnosis
 from sim2real.effects import named
 from sim2real.identification.held_out import Unseen, held_out
 from sim2real.identification.identify import fitted_joint
@@ -55,16 +55,10 @@ from sim2real.progress import Progress
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import (
-    BASE,
-    COLUMNS,
-    FIRST_COLUMN,
-    LOOP,
-    joint_row,
-)
+from sim2real.servo.parameters import BASE, COLUMNS, FIRST_COLUMN, LOOP, joint_row
 from sim2real.servo.trace import Trace, at_one_gain, firmware_gain
 
-__all__ = ["Case", "diagnose", "diagnose_all"]
+__all__ = ["Case", "diagnose", "diagnose_case"]
 _GIVEN = (*BASE[3:], *LOOP)
 """Parameters that are not fitted again: the load's, and the times of a sampled controller."""
 
@@ -82,23 +76,10 @@ def diagnose(
     seed: int = 0,
     progress: Progress = lambda share: None,
 ) -> Diagnosis:
-    """Find the physics that a fitted servo leaves out.
+    """Find the physics that fitted servos leave out, see ``sim.verbs.diagnose``.
 
-    Args:
-        recordings: Recordings of the servos.
-        robot: The robot that was recorded.
-        model: A model to start from; its effects stay part of the plain servo.
-        references: Recordings of the robot from before: then only what has changed since is named.
-        earlier: A diagnosis.json, of which the sets of effects that it left open are tried again.
-        negligible: An effect that changes the held-out error by less than this share is listed, and
-            makes no verdict.
-        effort: Multiple of the simulation budget of the search for combinations of effects.
-        interval: Probability of the intervals of parameters.
-        seed: Seed of the bootstraps.
-        progress: Called with the share that is done.
-
-    Returns:
-        The diagnosis, with the enriched model and what a report shows.
+    Of ``earlier``, a diagnosis.json, the sets of effects that it left open are tried again;
+    ``progress`` is called with the share that is done.
 
     Raises:
         InputError: If the recordings and the robot do not agree, or no joint moves.
@@ -110,54 +91,31 @@ def diagnose(
     loaded = with_arm_loads(everything, robot, model)
     references, recordings = loaded[: len(references)], loaded[len(references) :]
     case = Case(recordings, robot, model, references, effort)
-    (result,) = diagnose_all(
-        [case], negligible=negligible, seed=seed, thorough=True, progress=progress
-    )
+    result = diagnose_case(case, negligible=negligible, seed=seed, progress=progress)
     if model is None:
         gain = next(filter(None, map(firmware_gain, everything)), None)
     result = replace(result, model=replace(result.model, firmware_p_gain=gain))
     return result.with_intervals(interval)
 
 
-def diagnose_all(
-    cases: Sequence[Case],
+def diagnose_case(
+    given: Case,
     *,
     negligible: float = DECISION.negligible,
     seed: int = 0,
-    thorough: bool = False,
     progress: Progress = lambda share: None,
-) -> list[Diagnosis]:
-    """Diagnose any number of robots, one after the other.
-
-    Args:
-        cases: The robots.
-        negligible: As of ``diagnose``.
-        seed: Seed of the bootstraps.
-        thorough: Whether to work out detection limits, the next experiment and what the figures
-            show as well.
-        progress: Called with the share that is done.
-    """
-    results = []
-    for k, given in enumerate(cases):
-
-        def step(share: float, done: int = k) -> None:
-            progress((done + share) / len(cases))
-
-        case, joints = examined(given, seed=seed, progress=step)
-        result = diagnosis(case, joints, negligible, seed)
-        results.append(with_checks(result, case, joints) if thorough else result)
-        step(1.0)
-    return results
+) -> Diagnosis:
+    """Diagnose one robot."""
+    case, joints = examined(given, seed=seed, progress=progress)
+    result = diagnosis(case, joints, negligible, seed)
+    progress(1.0)
+    return result
 
 
 def examined(
     case: Case, *, seed: int = 0, progress: Progress = lambda share: None
 ) -> tuple[Case, list[JointFindings]]:
-    """What is known of each joint of a robot, before it is put into words; as ``diagnose_all``.
-
-    Returns:
-        The case with the servos that were taken for granted, and its joints.
-    """
+    """The case with the servos that were taken for granted, and what is known of each joint."""
     kept, warnings = admitted((*case.recordings, *case.references), case.robot)
     count, rng = len(case.recordings), np.random.default_rng(seed)
     case = replace(case, recordings=kept[:count], references=kept[count:], warnings=warnings)
@@ -168,12 +126,10 @@ def examined(
     if not any(joint.references for joint in joints):
         batch = batch_of(joints)
         joints = on_one_clock(batch, joints, [tried.best for tried in first])
-
-    def searching(share: float) -> None:
-        progress(0.8 * share)
-
     batch = batch_of(joints)
-    aligned, findings = findings_of(batch, joints, first, rng=rng, progress=searching)
+    aligned, findings = findings_of(
+        batch, joints, first, rng=rng, progress=lambda share: progress(0.8 * share)
+    )
     joints, batch = list(aligned), batch_of(aligned)
     found = judged_and_offered(joints, findings)
     plain = [one.finding.tried.plain for one in found]
@@ -199,11 +155,9 @@ def examined(
 
 
 def _with_laws_open(case: Case) -> Case:
-    """The case without the laws of servos that were identified from these same recordings.
-
-    They tell nothing that the recordings do not, so that the answer is that without a model.
-    Effects of a given servo remain part of it, as does what other recordings told of it.
-    """
+    """The case without the laws of servos that were identified from these same recordings."""
+    # They tell nothing that the recordings do not, so that the answer is that without a model.
+    # Effects of a given servo remain part of it, as does what other recordings told of it.
     if case.model is None or case.references:
         return case
     files = [recording.path for recording in case.recordings if recording.path]
@@ -252,10 +206,8 @@ def _looked(
 
 
 def _least_squares(joint: JointCase, traces: Sequence[Trace], servo: Hypothesis) -> Array:
-    """A servo as ``identify`` fits it, with what every servo has a little of fixed, shape (P,).
-
-    A fit with a free noise model takes what is missing for noise, and predicts worse.
-    """
+    """A servo as ``identify`` fits it, with what every servo has a little of fixed, shape (P,)."""
+    # A fit with a free noise model takes what is missing for noise, and predicts worse.
     if joint.references:  # as fitted to these, and to the case what has changed since
         return np.asarray(servo.fit.servos.theta[0])
     effects = [named(effect) for effect in sorted(servo.members)]
@@ -263,18 +215,8 @@ def _least_squares(joint: JointCase, traces: Sequence[Trace], servo: Hypothesis)
     return refitted(traces, theta, [e for e in effects if e.fitted and not e.everywhere]).row
 
 
-def _robust(
-    joint: JointCase,
-    traces: Sequence[Trace],
-    servo: Hypothesis,
-    *,
-    stiffer: Sequence[float] = (1.0, 1.4, 2.0),
-) -> Array:
-    """The same, each reading weighted by its error where that differs between them, shape (P,).
-
-    Starts are also ``stiffer``, with as much more friction: at rest these stand in for one another
-    in a long valley, which the search of effects leaves open and a prediction does not.
-    """
+def _robust(joint: JointCase, traces: Sequence[Trace], servo: Hypothesis) -> Array:
+    """The same, each reading weighted by its error where that differs between them, shape (P,)."""
     if joint.references or traces[0].spread is None:
         return _least_squares(joint, traces, servo)
     servos = servo.fit.servos
@@ -283,9 +225,12 @@ def _robust(
     columns = np.where(fixed, -1, servos.columns).astype(np.int32)
     start = replace(servos, columns=columns).of_joints([0])
     traces = [replace(trace, spread=trace.error_ratio, slow=None) for trace in traces]
+    # Stiffness and friction stand in for one another at rest, in a long valley which the search of
+    # effects leaves open and a prediction does not.
     frictions = [FIRST_COLUMN[e] for e in servo.members if named(e).site == "friction"]
     valley = np.isin(np.arange(len(COLUMNS)), [0, 1, *frictions])
-    along = [replace(start, theta=np.where(valley, k * start.theta, start.theta)) for k in stiffer]
+    factors = np.where(valley, [[1.0], [1.4], [2.0]], 1.0)
+    along = [replace(start, theta=start.theta * factor) for factor in factors]
     starts = stacked([one.at(one.values()) for one in along])  # within their bounds
     white = minimise(Batch([traces], white=True), starts, iterations=20)
     best = white.servos[np.array([int(np.nanargmin(white.error2))])]
@@ -298,9 +243,7 @@ def _identified(
 ) -> tuple[JointModel, Unseen] | None:
     """The servo as ``identify`` fits it, and its errors on held-out data, where these are smaller.
 
-    None where what is offered leaves little more than noise. Where lasting errors are a part of the
-    noise, which no search can tell from physics, it is kept unless the offered clearly predicts
-    other recordings better.
+    None where what is offered leaves little more than noise.
     """
     offered, lasting = found.unseen.get(found.offered.members), joint.traces[0].slow is not None
     if joint.references or joint.base or offered is None:
@@ -316,7 +259,7 @@ def _identified(
     (unseen,) = held_out([joint.traces], [start])
     if unseen is None:
         return None
-    if lasting:
+    if lasting:  # which no search can tell from physics
         servos, several = [start, found.offered.fit.servos], len(joint.traces) > 1
         less, more = held_out([joint.traces] * 2, servos, whole=several)
         if less is None or more is None:

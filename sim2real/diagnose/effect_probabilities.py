@@ -59,33 +59,25 @@ class EffectPosterior:
 
 
 def posteriors(found: Sequence[Tried], rng: np.random.Generator) -> list[EffectPosterior]:
-    """Probabilities of the sets of each joint of a robot, given what its other joints say."""
+    """Probabilities of the sets of each joint of a robot, given what its other joints say.
+
+    That is of the effects of the supply and the link, as log odds.
+    """
     separate = [posterior(tried, rng) for tried in found]
-    return [
-        posterior(tried, rng, _shared_odds([*separate[:j], *separate[j + 1 :]]))
-        for j, tried in enumerate(found)
-    ]
-
-
-def _shared_odds(others: Sequence[EffectPosterior]) -> dict[str, float]:
-    """What the other joints say of the effects of the supply and the link, as log odds."""
-    odds, shown = {}, 1 - DECISION.false_alarms
-    for effect in FITTED:
-        if effect.component == "joint" or not others:
-            continue
-        absent = float(np.prod([1 - shown * p.inclusion(effect.name) for p in others]))
-        before = np.exp(LOG_PRIOR)
-        after = absent * before + (1 - absent) * shown / (1 - shown)
-        odds[effect.name] = float(np.log(after / before))
-    return odds
+    before, shown, together = np.exp(LOG_PRIOR), 1 - DECISION.false_alarms, []
+    for j, tried in enumerate(found):
+        others, odds = [*separate[:j], *separate[j + 1 :]], {}
+        for effect in FITTED if others else ():
+            if effect.component != "joint":
+                absent = np.prod([1 - shown * p.inclusion(effect.name) for p in others])
+                after = absent * before + (1 - absent) * shown / (1 - shown)
+                odds[effect.name] = float(np.log(after / before))
+        together.append(posterior(tried, rng, odds))
+    return together
 
 
 def posterior(
-    found: Tried,
-    rng: np.random.Generator,
-    log_odds: Mapping[str, float] | None = None,
-    *,
-    bootstraps: int = 200,
+    found: Tried, rng: np.random.Generator, log_odds: Mapping[str, float] | None = None
 ) -> EffectPosterior:
     """Probabilities of the sets, averaged over bootstraps of blocks.
 
@@ -99,8 +91,8 @@ def posterior(
     extra = np.array([sum((log_odds or {}).get(e, 0.0) for e in h.members) for h in tried])
     blocks = tried[0].fit.gram.shape[1]
     used = np.flatnonzero(tried[0].fit.gram[0, :, 0, 0] > 0)
-    weights = np.zeros((bootstraps, blocks))
-    weights[:, used] = rng.multinomial(used.size, np.full(used.size, 1 / used.size), bootstraps)
+    weights = np.zeros((200, blocks))
+    weights[:, used] = rng.multinomial(used.size, np.full(used.size, 1 / used.size), len(weights))
     scores = np.stack([h.fit.resampled(weights) for h in tried])
     fixed = np.array([h.evidence - float(h.fit.loglikelihood[0]) for h in tried])
     # A refit to a resampled record gains half a unit a parameter more than one to a new record.

@@ -58,7 +58,7 @@ def search(
     for tried, before, joint in zip(cases, known, joints, strict=True):
         sets = problem.compared(before) if again else [before.best]
         rows = [(h.members, h.fit.servos.theta[0]) for h in sets if not h.members <= tried.base]
-        rows += [] if again else [(one.effects, one.theta) for one in joint.stated]
+        rows += [] if again else joint.stated
         jobs += [(tried, tried.base | members, theta) for members, theta in rows]
     problem.try_all(jobs)
     if not again:

@@ -42,8 +42,6 @@ _PLAIN_NOTE = (
     "the model is the plain one of identify, which predicts held-out data better than that with "
     "the effects."
 )
-_DIGIT_RAD = 1e-9
-"""To which a sensor's step is read off recorded numbers."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +52,7 @@ class JointFindings:
     finding: Finding  # what it is missing
     enriched: Hypothesis  # the servo with what was found, negligible effects included
     offered: Hypothesis  # the servo of the enriched model, see ``calibrated_odds.offer``
-    # errors on held-out data, by the effects that a servo has; empty where nothing can be held out
-    unseen: Mapping[Set, Unseen]
+    unseen: Mapping[Set, Unseen]  # errors on held-out data, if any, by the effects of a servo
     # simulated minus measured angles of the plain servo in rad, shape (R, T)
     before: Array = field(default_factory=lambda: np.zeros((0, 0)))
     after: Array = field(default_factory=lambda: np.zeros((0, 0)))  # those of the offered one
@@ -80,12 +77,6 @@ class JointFindings:
         """Whether the offered servo has effects that the plain one lacks."""
         changed = bool(self.finding.sizes) and self.offered is not self.finding.tried.plain
         return changed or self.offered.members != self.finding.tried.base
-
-    @property
-    def error(self) -> float:
-        """Of the plain servo on held-out data, or on the fitted where nothing is held out, rad."""
-        fit = self.fit(enriched=False)
-        return (fit["train"] or 0.0) if fit["heldout"] is None else fit["heldout"]
 
     def fit(self, *, enriched: bool) -> dict[str, float | None]:
         """Errors on fitted and on held-out data, and the noise, rad."""
@@ -118,17 +109,12 @@ class JointFindings:
 
     @property
     def leaves_structure(self) -> bool:
-        """Whether the offered servo leaves more than noise and slow wander, fitted or held out.
-
-        ``DECISION.structured_excess`` is the largest squared error, relative to noise and drift,
-        which 99 % of joints that miss nothing leave. Irregular command timing is exempt:
-        it differs in each recording, and no model removes its error.
-        """
-        if self.finding.link is not None:
-            return False
+        """Whether the offered servo leaves more than noise and slow wander, fitted or held out."""
         heldout = self.fit(enriched=True)["heldout"]
         unseen = 0.0 if heldout is None else (heldout / self.floor) ** 2
-        return max(self.finding.excess, unseen) > DECISION.structured_excess
+        # Irregular timing differs in each recording: no model removes its error.
+        more = max(self.finding.excess, unseen) > DECISION.structured_excess
+        return self.finding.link is None and more
 
     def model(self, *, enriched: bool) -> JointModel:
         """The offered servo, or the plain one, as ``identify`` fits them, on the stated line."""
@@ -163,11 +149,7 @@ class JointFindings:
         return replace(model, notes=notes)
 
     def estimates(self, effect: str) -> dict[str, Estimate]:
-        """Parameters of an effect with their spread, by name; empty where the fit has it not.
-
-        A law is wrong by a share of its own effect, which no recording tells (``law_error``). The
-        intervals of effects that may be exchanged (``partner``) contain the values of both.
-        """
+        """Parameters of an effect with their spread, by name; empty where the fit has it not."""
         if effect in self.finding.sizes:
             return dict(self.finding.sizes[effect])
         link, step = self.finding.link, self.joint.step_rad
@@ -175,9 +157,9 @@ class JointFindings:
         if link is not None and effect in link.sizes:
             return {first: Estimate.normal(*link.sizes[effect], low=0.0)}
         if effect == ROUNDING and step is not None:
-            return {first: Estimate.normal(step, _DIGIT_RAD)}
+            return {first: Estimate.normal(step, 1e-9)}  # read off recorded numbers
         servos, variance = self.enriched.fit.servos, self.enriched.fit.variances
-        estimates = {}
+        other, estimates = partner(self.enriched.members, effect), dict[str, Estimate]()
         for k, column in enumerate(servos.columns[0]):
             owner, _, name = COLUMNS[column].partition(".")
             if owner != effect:
@@ -186,8 +168,7 @@ class JointFindings:
             law = 0.0 if name.endswith("phase_rad") else law_error(self.enriched, effect) * mean
             sd = float(np.hypot(np.sqrt(variance[k]) * servos.unit[0, k], law))
             bounds = float(servos.low[0, k]), float(servos.high[0, k])
-            other = partner(self.enriched.members, effect)
-            if other is not None:
+            if other is not None:  # the interval contains the values of both
                 value = float(servos.theta[0, COLUMNS.index(f"{other}.{name}")])
                 distinct = distinctness(self.finding.tried, self.enriched, effect, other)
                 low, high = exchangeable_ends(mean, value, distinct)

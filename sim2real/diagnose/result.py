@@ -11,8 +11,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from sim2real.arrays import Array
-from sim2real.diagnose.rival_sets import SCHEMA, JointRivals, Separation
-from sim2real.diagnose.swim_rivals import SwimRivals
+from sim2real.diagnose.rival_sets import SCHEMA, JointRivals, Separation, SwimRivals
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.inference.normal import LEVEL, Z90
 from sim2real.model import Model
@@ -47,12 +46,11 @@ class Mismatch:
     """Share of the residual torque's variance that each state explains alone."""
     remainder: str = ""  # where that error is which the enriched model leaves, and what to record
 
-    def __str__(self) -> str:
-        """The error and the noise: mrad for a joint, m/s or rad/s for a body."""
-        return self.described()
+    def described(self, remaining: float | None) -> str:
+        """The error, that of the enriched model where there is one, and the noise.
 
-    def described(self, remaining: float | None = None) -> str:
-        """The error, that of the enriched model where there is one, and the noise."""
+        In mrad for a joint, m/s or rad/s for a body.
+        """
         name, unit, scale, digits = self.component, "mrad", 1e3, 2
         if self.signal.startswith("body."):
             name = self.signal.removeprefix("body.").replace("_", " ")
@@ -118,11 +116,7 @@ class Rival:
 
 @dataclass(frozen=True)
 class DetectionLimit:
-    """Lower bound of the size of an effect that these recordings could have shown.
-
-    The refitted noise model absorbs a part of a weak effect: to be detected in nine of ten cases,
-    an effect must be several times as large.
-    """
+    """Lower bound of the size of an effect that these recordings could have shown."""
 
     effect: str
     component: str
@@ -206,14 +200,15 @@ class Diagnosis(NotebookDisplay):
         if level == LEVEL:
             return self
         ratio = float(ndtri((1 + level) / 2) / ndtri((1 + LEVEL) / 2))
-        effects, negligible = (
-            tuple(
-                replace(e, parameters={n: x.widened(ratio) for n, x in e.parameters.items()})
-                for e in listed
-            )
-            for listed in (self.effects, self.negligible)
+
+        def widened(effect: NamedEffect) -> NamedEffect:
+            wider = {name: x.widened(ratio) for name, x in effect.parameters.items()}
+            return replace(effect, parameters=wider)
+
+        effects, negligible = map(widened, self.effects), map(widened, self.negligible)
+        return replace(
+            self, effects=tuple(effects), negligible=tuple(negligible), interval_level=level
         )
-        return replace(self, effects=effects, negligible=negligible, interval_level=level)
 
     def remaining(self, signal: str) -> float | None:
         """Error of the enriched model, on held-out data if there are any; None if unchanged."""
@@ -258,10 +253,7 @@ class Diagnosis(NotebookDisplay):
 
     @property
     def search_ended(self) -> str:
-        """Statement on joints whose search was ended by its budget; empty if there are none.
-
-        The budget is ``search_substeps`` of ``decision.json``, times ``effort`` of ``diagnose``.
-        """
+        """Statement on joints whose search was ended by its budget; empty if there are none."""
         if not self.unfinished:
             return ""
         return (
@@ -287,25 +279,22 @@ def write_diagnosis(diagnosis: Diagnosis, path: str | os.PathLike[str], model: s
     Raises:
         InputError: If the folder can't be written.
     """
-    write_json(path, _content(diagnosis) | {"model": model})
-
-
-def _content(diagnosis: Diagnosis) -> dict[str, Any]:
-    def entries(name: str) -> list[dict[str, Any]]:
-        return [asdict(entry) for entry in getattr(diagnosis, name)]
-
+    lists = ("effects", "negligible", "rivals", "detection_limits", "separations")
+    entries = {name: [asdict(entry) for entry in getattr(diagnosis, name)] for name in lists}
     plan = vars(diagnosis.next_experiment) if diagnosis.next_experiment else {}
-    return {
+    mismatch = []
+    for one in diagnosis.mismatch:
+        windows = sorted(window for each in one.windows_s.values() for window in each)
+        more = {"windows_s": windows, "windows_by_recording": one.windows_s}
+        mismatch.append(asdict(one) | more)
+    content = entries | {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,
         "interval_level": diagnosis.interval_level,
-        "mismatch": [_mismatch(m) for m in diagnosis.mismatch],
-        **{name: entries(name) for name in ("effects", "negligible", "rivals")},
+        "mismatch": mismatch,
         "unknown": dict(diagnosis.unknown),
         "fit": {"baseline": diagnosis.baseline_fit, "enriched": diagnosis.enriched_fit},
-        "detection_limits": entries("detection_limits"),
         "next_experiment": {k: x for k, x in plan.items() if k not in ("t", "signal")} or None,
-        "separations": entries("separations"),
         "rival_sets": [joint.content() for joint in diagnosis.rival_sets],
         "swim_rivals": None if diagnosis.swim_rivals is None else diagnosis.swim_rivals.content(),
         "gate": list(diagnosis.gate),
@@ -316,13 +305,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
             "unfinished": list(diagnosis.unfinished),
             "statement": diagnosis.search_ended,
         },
+        "model": model,
         "provenance": dict(diagnosis.provenance),
     }
-
-
-def _mismatch(mismatch: Mismatch) -> dict[str, Any]:
-    """One entry; ``windows_by_recording`` tells of which recording each of ``windows_s`` is."""
-    content = asdict(mismatch)
-    by_recording = content.pop("windows_s")
-    windows = sorted(window for each in by_recording.values() for window in each)
-    return content | {"windows_s": windows, "windows_by_recording": by_recording}
+    write_json(path, content)

@@ -1,4 +1,7 @@
-"""Sets of effects that recordings leave open: what they predict, and what became of them."""
+"""Sets of effects that recordings leave open: what they predict, and what became of them.
+
+Sets of the effects of a joint, and, from swims, of body and camera, as ``diagnosis.json`` has them.
+"""
 
 from __future__ import annotations
 
@@ -8,20 +11,19 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import xlogy
 
 from sim2real.arrays import Array, Integers
 from sim2real.effects import plain
 from sim2real.errors import InputError
 from sim2real.recording import PER_INERTIA, Load, Recording, read_load
-from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.servo.parameters import COLUMNS
 from sim2real.structured import Fields, read_json
 
 SCHEMA = "sim2real.diagnosis/1"
 SEPARATED = 0.9
 """Probability from which two sets of effects count as distinguished."""
-_FROM_LOAD = [BASE.index("inertia_kgm2"), BASE.index("gravity_Nm")]
-"""Columns that the load of a recording sets."""
+StatedSet = tuple[frozenset[str], Array]
+"""Effects that a recording was designed to tell from others, and the servo (P,) with them."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +50,23 @@ class RivalSet(OpenSet):
     information: Array
 
     def content(self) -> dict[str, Any]:
-        """Effects, probability and parameters, as files state them."""
-        parameters = {
-            COLUMNS[k]: float(self.theta[k])
-            for k in np.flatnonzero(self.theta).tolist()
-            if k not in _FROM_LOAD
-        }
-        return super().content() | {"parameters": parameters}
+        """Effects, probability and parameters, without the load that a recording states."""
+        values = zip(COLUMNS, self.theta.tolist(), strict=True)
+        own = {name: x for k, (name, x) in enumerate(values) if x and k not in (3, 4)}
+        return super().content() | {"parameters": own}
+
+
+@dataclass(frozen=True)
+class SwimSet(OpenSet):
+    """One set of effects of body and camera, that of a material as ``effect.material``."""
+
+    # its F free parameters by name, in ``sim.inference.coordinates``
+    coordinates: Mapping[str, float]
+    information: Array  # their precision, in the inverse of the product of their units, (F, F)
+
+    def content(self) -> dict[str, Any]:
+        """Effects, probability and coordinates, as files state them."""
+        return super().content() | {"coordinates": dict(self.coordinates)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,11 +76,6 @@ class OpenSets:
     component: str  # the joint or the body
     period_s: float  # time between samples
     sets: tuple[OpenSet, ...]  # the sets
-
-
-def entropy(probability: Array) -> float:
-    """Entropy of probabilities (M,), in nats."""
-    return float(-xlogy(probability, probability).sum())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,33 +109,56 @@ class JointRivals(OpenSets):
         }
 
 
-@dataclass(frozen=True)
-class StatedSet:
-    """A set of effects that a designed recording was made to tell from others."""
+@dataclass(frozen=True, kw_only=True)
+class SwimRivals(OpenSets):
+    """The sets of effects that swims of one robot leave open."""
 
-    effects: frozenset[str]  # the effects
-    theta: Array  # parameters of the servo with them, fitted before, shape (P,)
+    pose_sd: Array  # standard deviation of the noise of x, y (m) and heading (rad), shape (3,)
+    pose_lag_s: float  # time constant of a filter of that noise; 0 without a filter
+    joint_sd_rad: Array  # standard deviation of the noise of each joint's angle, shape (J,)
+    # error of the simulator as a share of a signal's size, by signal (surge, sway, yaw rate,
+    # joints) and frequency band (slow, beat, fast), shape (4, 3)
+    shares: Array
+    # by coordinate, the standard deviation between swims of the size that this error imitates
+    imitation: Mapping[str, float]
+    relative: float  # standard deviation between swims of an effect's size, relative to the size
+    temperature: float  # factor by which evidence is divided in the probabilities of the sets
+    sets: tuple[SwimSet, ...]
+
+    def content(self) -> dict[str, Any]:
+        """The field ``swim_rivals`` of ``diagnosis.json``."""
+        return {
+            "component": self.component,
+            "period_s": self.period_s,
+            "noise": {
+                "pose_sd": self.pose_sd.tolist(),
+                "pose_lag_s": self.pose_lag_s,
+                "joint_sd_rad": self.joint_sd_rad.tolist(),
+            },
+            "simulator_error": {
+                "shares": self.shares.tolist(),
+                "imitation": dict(self.imitation),
+                "relative": self.relative,
+                "temperature": self.temperature,
+            },
+            "sets": [x.content() | {"information": x.information.tolist()} for x in self.sets],
+        }
 
 
 def stated_sets(recordings: Sequence[Recording], joint: str) -> tuple[StatedSet, ...]:
     """The sets of effects of a joint that recordings were designed to distinguish.
 
-    Raises:
-        InputError: If what a recording's JSON says under ``rivals`` is of another form.
+    InputError if what a recording's JSON says under ``rivals`` is of another form.
     """
     return tuple(
-        StatedSet(frozenset(one.sentences("effects")), _theta(one))
+        (frozenset(one.sentences("effects")), _theta(one))
         for entry in design_of(recordings, joint)
         for one in entry.tables("sets")
     )
 
 
 def design_of(recordings: Sequence[Recording], joint: str | None = None) -> list[Fields]:
-    """What the JSON of recordings says under ``rivals``, of a joint or of all.
-
-    Raises:
-        InputError: If it is of another form.
-    """
+    """What the JSON of recordings says under ``rivals``, of a joint or of all; or InputError."""
     tops = (Fields(recording.file, "", recording.metadata) for recording in recordings)
     entries = [entry for top in tops if "rivals" in top for entry in top.tables("rivals")]
     return [entry for entry in entries if joint is None or entry.text("component") == joint]
@@ -139,13 +169,12 @@ def with_open_sets(
 ) -> list[Recording]:
     """The recordings, of which the last states the sets of effects that a diagnosis left open.
 
-    Raises:
-        InputError: If the file is no diagnosis of a servo, or of a joint that was not recorded, or
-            what the last recording states itself is of another form.
+    InputError if the file is no diagnosis of a servo, or of a joint that was not recorded, or what
+    the last recording states itself is of another form.
     """
     *others, last = recordings
     entries = [entry.content for entry in design_of([last])]
-    for rivals in rivals_of_file(path):
+    for rivals in read_rival_sets(read_diagnosis(path)):
         if rivals.component not in last.joints:
             found, expected = rivals.component, f"one of {', '.join(last.joints)}"
             raise InputError(path, "rival_sets.component", found, expected)
@@ -155,53 +184,38 @@ def with_open_sets(
     return [*others, replace(last, metadata={**last.metadata, **stated})]
 
 
-def rivals_of_file(path: str | os.PathLike[str]) -> tuple[JointRivals, ...]:
-    """The sets of effects that a ``diagnosis.json`` leaves open; none if it lists none.
+def read_diagnosis(path: str | os.PathLike[str]) -> Fields:
+    """The content of a ``diagnosis.json``; InputError if the file is none."""
+    return Fields(path, "", read_json(path, SCHEMA))
 
-    Raises:
-        InputError: If the file is no diagnosis, or was written without such sets.
+
+def read_rival_sets(diagnosis: Fields) -> tuple[JointRivals, ...]:
+    """By joint the sets of effects that a diagnosis leaves open; none if it lists none.
+
+    InputError if a field is missing or of another form.
     """
-    top = Fields(path, "", read_json(path, SCHEMA))
-    return read_rival_sets(top) if top.content.get("rival_sets") != [] else ()
-
-
-def read_rival_sets(top: Fields) -> tuple[JointRivals, ...]:
-    """The entries of ``rival_sets`` in the content of a ``diagnosis.json``.
-
-    Raises:
-        InputError: If a field is missing or of another form.
-    """
-    return tuple(
-        JointRivals(
+    rivals, listed = list[JointRivals](), diagnosis.content.get("rival_sets") != []
+    for entry in diagnosis.tables("rival_sets") if listed else ():
+        noise, sets = entry.table("noise"), []
+        for one in entry.tables("sets"):
+            free = one.sentences("free")
+            if unknown := [name for name in free if name not in COLUMNS]:
+                raise one.error("free", f"parameters of a servo, not {unknown[0]!r}")
+            columns = np.array([COLUMNS.index(name) for name in free], dtype=np.int32)
+            information = _numbers(one, "information", len(free), len(free))
+            likely = one.sentences("effects"), one.number("probability"), one.number("gain")
+            sets.append(RivalSet(*likely, _theta(one), columns, information))
+        known = entry.content.get("load") is not None
+        joint = JointRivals(
             component=entry.text("component"),
-            load=PER_INERTIA
-            if entry.content.get("load") is None
-            else read_load(entry.table("load")),
-            period_s=entry.table("noise").number("period_s", above=0),
-            noise_rad=entry.table("noise").number("innovation_sd_rad", above=0),
-            autoregression=numbers(entry.table("noise"), "autoregression"),
-            sets=tuple(_set(one) for one in entry.tables("sets")),
+            load=read_load(entry.table("load")) if known else PER_INERTIA,
+            period_s=noise.number("period_s", above=0),
+            noise_rad=noise.number("innovation_sd_rad", above=0),
+            autoregression=_numbers(noise, "autoregression"),
+            sets=tuple(sets),
         )
-        for entry in top.tables("rival_sets")
-    )
-
-
-def _set(entry: Fields) -> RivalSet:
-    free = entry.sentences("free")
-    if unknown := [name for name in free if name not in COLUMNS]:
-        raise entry.error("free", f"parameters of a servo, not {unknown[0]!r}")
-    columns = np.array([COLUMNS.index(name) for name in free], dtype=np.int32)
-    information = numbers(entry, "information")
-    if information.shape != (columns.size, columns.size):
-        raise entry.error("information", f"{columns.size} rows of {columns.size} numbers")
-    return RivalSet(
-        effects=entry.sentences("effects"),
-        probability=entry.number("probability"),
-        gain=entry.number("gain"),
-        theta=_theta(entry),
-        columns=columns,
-        information=information,
-    )
+        rivals.append(joint)
+    return tuple(rivals)
 
 
 def _theta(entry: Fields) -> Array:
@@ -214,18 +228,44 @@ def _theta(entry: Fields) -> Array:
     return theta
 
 
-def numbers(entry: Fields, name: str) -> Array:
-    """An array of finite numbers, of which products are finite, from a list or lists in a file.
+def read_swim_rivals(diagnosis: Fields) -> SwimRivals:
+    """The sets of effects of a diagnosis of swims; InputError if one is of another form."""
 
-    Raises:
-        InputError: If it is of another form.
-    """
+    def by_name(table: Fields) -> dict[str, float]:
+        return {name: table.number(name) for name in table.content}
+
+    entry, sets = diagnosis.table("swim_rivals"), []
+    noise, error = entry.table("noise"), entry.table("simulator_error")
+    for one in entry.tables("sets"):
+        coordinates = by_name(one.table("coordinates"))
+        information = _numbers(one, "information", len(coordinates), len(coordinates))
+        probability = one.number("probability", low=0.0)
+        sets.append(SwimSet(one.sentences("effects"), probability, coordinates, information))
+    return SwimRivals(
+        component=entry.text("component"),
+        period_s=entry.number("period_s", above=0.0),
+        pose_sd=_numbers(noise, "pose_sd", 3),
+        pose_lag_s=noise.number("pose_lag_s", low=0.0),
+        joint_sd_rad=_numbers(noise, "joint_sd_rad"),
+        shares=_numbers(error, "shares", 4, 3),
+        imitation=by_name(error.table("imitation")),
+        relative=error.number("relative", low=0.0),
+        temperature=error.number("temperature", above=0.0),
+        sets=tuple(sets),
+    )
+
+
+def _numbers(entry: Fields, name: str, *shape: int) -> Array:
+    """An array of finite numbers, of which products are finite, from a list or lists in a file."""
     try:
         values = np.array(entry.content.get(name), dtype=np.float64)
     except (TypeError, ValueError):
         values = np.array(np.nan)
     if not (np.abs(values) < 1e75).all():
         raise entry.error(name, "finite numbers, within 1e75")
+    if shape and values.shape != shape:
+        rows = f"{shape[0]} rows of " if len(shape) > 1 else ""
+        raise entry.error(name, f"{rows}{shape[-1]} numbers")
     return values
 
 
@@ -269,23 +309,15 @@ class Separation:
 
 
 def separations(
-    component: str,
-    stated: Iterable[Fields],
-    probability: Mapping[tuple[str, ...], float],
-    *,
-    most: int = 6,
-    least: float = 1e-3,
+    component: str, stated: Iterable[Fields], probability: Mapping[tuple[str, ...], float]
 ) -> tuple[Separation, ...]:
     """Expectation and outcome of what recordings were designed to distinguish in a component.
 
     ``stated`` is what their JSON says of it, see ``design_of``; ``probability`` that of the sets of
-    effects, given all recordings. Below ``least`` of both sets, both are ruled out.
-
-    Raises:
-        InputError: If a statement is of another form.
+    effects, given all recordings. InputError if a statement is of another form.
     """
     found = []
-    for pair in (p for entry in stated if "pairs" in entry for p in entry.tables("pairs")[:most]):
+    for pair in (p for entry in stated if "pairs" in entry for p in entry.tables("pairs")[:6]):
         first, second = (tuple(pair.sentences(name)) for name in ("first", "second"))
         weights = []
         for own, other in ((first, second), (second, first)):
@@ -293,7 +325,7 @@ def separations(
             needed, excluded = set(own) - set(other), set(other) - set(own)
             has = (e for e in probability if needed.issubset(e) and excluded.isdisjoint(e))
             weights.append(sum(probability[e] for e in has))
-        share = max(weights) / sum(weights) if sum(weights) > least else None
+        share = max(weights) / sum(weights) if sum(weights) > 1e-3 else None
         favoured = first if weights[0] >= weights[1] else second
         expected = pair.number("expected")
         found.append(Separation(component, first, second, expected, share, favoured))

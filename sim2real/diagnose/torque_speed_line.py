@@ -11,7 +11,6 @@ from sim2real.arrays import Array
 from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.gear_trains import of_inertia
-from sim2real.diagnose.rival_sets import StatedSet
 from sim2real.diagnose.screening import NUISANCES, with_effects
 from sim2real.diagnose.servo_search import BLOCKS, ServoSearch, evidence_of
 from sim2real.effects import named
@@ -67,8 +66,8 @@ def with_limits(
         if theta[LINE_COLUMNS].any() and SATURATION in limit.members:
             found = limit.members - {e.name for e in NUISANCES}
             rows = [of_inertia(theta, joint.traces[0].load.inertia_kgm2, x) for x in _ROTORS]
-            sets = [StatedSet(found | {UNMODELLED_INERTIA}, row) for row in rows]
-            also = (*also, StatedSet(found, theta.copy()), *sets)
+            sets = [(found | {UNMODELLED_INERTIA}, row) for row in rows]
+            also = (*also, (found, theta.copy()), *sets)
             theta[FLAT_COLUMNS] = 0.0
         elif SATURATION in limit.members:
             theta, law = without_flat_limit(theta), "current_limited"

@@ -4,7 +4,7 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.design.plan import Design, JointDesign, NextRecording
-from sim2real.design.tell_apart import JointForecast, RivalDesign
+from sim2real.design.rivals import JointForecast, RivalDesign
 from sim2real.diagnose.rival_sets import task
 from sim2real.display import Drawing
 from sim2real.report.page import Block, Note, Section, Table, Text
@@ -29,10 +29,11 @@ def design_section(design: Design, *, plots: bool = True) -> Section:
     """Expected half-width of the interval of each parameter, and the commands, by joint."""
     blocks: list[Block] = []
     for name, joint in design.joints.items():
-        held = joint.limits.largest_held_rad
+        limits = joint.information.limits
+        held = limits.largest_held_rad
         within = f", within {held:.2g} rad of hanging, where its servo can hold the load"
         lead = (
-            f"Commands of {len(design.t) * joint.limits.period_s:.0f} s that are expected to "
+            f"Commands of {len(design.t) * limits.period_s:.0f} s that are expected to "
             f"determine {name} best, from what its {joint.origin} says"
             f"{within if np.isfinite(held) else ''}; {joint.found.evaluated} commands were "
             "compared. Intervals are those of 'identify' on this recording alone, relative to the "
@@ -56,7 +57,7 @@ def _panels(t: Array, name: str, joint: JointDesign) -> list[Panel]:
     motion = {COMMAND: joint.found.command, "expected": angle[0, 0]}
     parts = max(round(float(t[-1]) / _PART_S), 1)
     ends = np.linspace(0.0, float(t[-1]), parts + 1)[1:]
-    names = map(readable_name, joint.prior.names)
+    names = map(readable_name, joint.information.prior.names)
     widths = dict(zip(names, 100 * joint.over_time(parts).T, strict=True))
     position = SignalGroup((name, "position"), "rad", t, motion)
     interval = SignalGroup((name, "interval"), "%", ends, widths)

@@ -7,7 +7,7 @@ from functools import singledispatch
 
 from sim2real.check import Check
 from sim2real.design.plan import Design
-from sim2real.design.tell_apart import RivalDesign
+from sim2real.design.rivals import RivalDesign
 from sim2real.diagnose.result import Diagnosis
 from sim2real.model import JointModel, Model
 from sim2real.posterior.posteriors import Posteriors

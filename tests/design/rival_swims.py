@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim2real.diagnose.swim_rivals import SwimRivals, SwimSet
+from sim2real.diagnose.rival_sets import SwimRivals, SwimSet
 from sim2real.model import read_model
 from sim2real.robot import read_robot
 

@@ -10,7 +10,7 @@ from good_input import ROBOT, message, refused
 from rival_pair import RIVALS
 
 from sim2real.cli import main
-from sim2real.design.contexts import AS_IT_IS, read_contexts
+from sim2real.design.limits import AS_IT_IS, read_contexts
 from sim2real.diagnose.result import DESIGN, to_design
 from sim2real.model import JointModel, Model, write_model
 from sim2real.recording import Load, read_commands, read_recording
@@ -143,7 +143,8 @@ def test_loads_and_ratios_are_those_of_the_file(tmp_path):
     assert arm.load(RIVALS) == Load(0.004, 0.05, 0.1)
     assert AS_IT_IS.load(RIVALS) == RIVALS.load
     text = '[[contexts]]\nname = "low"\nsupply_ratio = 0.5\ngain_ratio = 2.0\n'
-    assert contexts(tmp_path, text)[0].ratios == {"supply_ratio": 0.5, "gain_ratio": 2.0}
+    (low,) = contexts(tmp_path, text)
+    assert (low.supply, low.gain) == (0.5, 2.0)
 
 
 @pytest.mark.parametrize(

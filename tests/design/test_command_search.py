@@ -29,7 +29,7 @@ def test_a_design_is_expected_to_tell_twice_as_much_as_any_usual_signal():
     found = best(information, LIMITS, 8.0, rng=np.random.default_rng(1), **SMALL)
     assert violations(found.command[None], LIMITS) == [[]]
     assert found.score == information(found.command[None])[0]
-    width = information.precision(np.array([found.command, *(u[:, 0] for u in usual)])).half_width
+    width, _ = information.precision(np.array([found.command, *(u[:, 0] for u in usual)]))
     widest = width[:, :, :3].max(axis=2).mean(axis=1)
     assert widest[0] < 0.5 * widest[1:].min()
 

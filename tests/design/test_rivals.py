@@ -10,10 +10,14 @@ from rival_pair import PERIOD, RIVALS, commands
 from simulated import robot
 from violations import violations
 
-from sim2real.design.contexts import AS_IT_IS, Context
-from sim2real.design.limits import limits_of
-from sim2real.design.rivals import JointObjective, remaining_entropy
-from sim2real.design.tell_apart import Request, design_for_rivals, forecast
+from sim2real.design.limits import AS_IT_IS, Context, limits_of
+from sim2real.design.rivals import (
+    JointObjective,
+    Request,
+    design_for_rivals,
+    forecast,
+    remaining_entropy,
+)
 from sim2real.diagnose.decision import DECISION
 from sim2real.recording import PER_INERTIA, read_recording, write_recording
 from sim2real.servo.parameters import COLUMNS

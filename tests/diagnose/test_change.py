@@ -8,12 +8,10 @@ from simulated import INERTIA, NOISE, SHEET, column, recording, robot, row, step
 
 from sim.commands.diagnose import write_all
 from sim2real.diagnose.case import Case
-from sim2real.diagnose.change import jump_windows, what_changed
-from sim2real.diagnose.contrast import noise_of
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.diagnose import diagnose, diagnose_all
-from sim2real.diagnose.explained import alignment, beside_rest, explained, way_of
-from sim2real.diagnose.references import law_of, with_known_servos
+from sim2real.diagnose.diagnose import diagnose, diagnose_case
+from sim2real.diagnose.explained import alignment, beside_rest, explained, noise_of, way_of
+from sim2real.diagnose.references import jump_windows, law_of, what_changed, with_known_servos
 from sim2real.errors import InputError
 from sim2real.recording import Load, read_recording
 from sim2real.servo.parameters import joint_row
@@ -248,7 +246,7 @@ def found():
         Case([recording(3, "a", seconds=8.0, **RUBBING, **more)], robot("j1"), None, references)
         for more in ({}, FILTERED)
     ]
-    return diagnose_all(cases)
+    return [diagnose_case(case) for case in cases]
 
 
 def test_references_of_another_robot_are_refused():

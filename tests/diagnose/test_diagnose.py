@@ -11,7 +11,7 @@ from strange import position_damping, strange
 
 from sim2real.diagnose.calibrated_odds import judged
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.diagnose import Case, diagnose, diagnose_all
+from sim2real.diagnose.diagnose import Case, diagnose, diagnose_case
 from sim2real.diagnose.joint_result import includes_zero
 from sim2real.diagnose.result import percent, write_diagnosis
 from sim2real.diagnose.wording import diagnosis
@@ -151,7 +151,7 @@ def test_an_effect_that_may_be_zero_is_not_named(explained_joint):
 
 def test_what_is_in_no_catalogue_is_unexplained():
     given = [strange(k, name, position_damping, seconds=6.0) for k, name in ((1, "a"), (2, "b"))]
-    (found,) = diagnose_all([Case(given, robot("j1"))])
+    found = diagnose_case(Case(given, robot("j1")))
     assert found.verdict == "unexplained"
     assert not found.effects, "nothing that matters has a name"
 
@@ -174,7 +174,7 @@ def test_a_model_that_has_the_effect_misses_nothing(explained):
 def test_what_hardly_changes_the_error_is_listed_and_makes_no_verdict(explained):
     """Asked to neglect what takes away less than nearly all of the error, friction is neglected."""
     assert explained.negligible == ()
-    (found,) = diagnose_all([Case(two(**FRICTION), robot("j1"))], negligible=0.999)
+    found = diagnose_case(Case(two(**FRICTION), robot("j1")), negligible=0.999)
     assert found.verdict == "consistent"
     assert found.effects == ()
     assert [e.effect for e in found.negligible] == [e.effect for e in explained.effects]
@@ -185,7 +185,7 @@ def test_only_the_joint_that_has_it_is_named():
         beside(recording(k, name, seconds=5.0), recording(k + 5, name, seconds=5.0, **FRICTION))
         for k, name in ((1, "a"), (2, "b"))
     ]
-    found = diagnose_all([Case(recordings, robot("j1", "j2"))])[0]
+    found = diagnose_case(Case(recordings, robot("j1", "j2")))
     assert [(e.effect, e.component) for e in found.effects] == [("coulomb_friction", "j2")]
     assert [m.component for m in found.mismatch] == ["j2"]
 
@@ -201,7 +201,7 @@ def test_no_motion_is_refused():
 def test_the_baseline_is_what_identify_finds(effects):
     """One estimator: the same recordings and the same model have one pair of gains."""
     shown, other = two(**effects)
-    (found,) = diagnose_all([Case([shown], robot("j1"))])
+    found = diagnose_case(Case([shown], robot("j1")))
     known = identify([shown, other], robot("j1"), held_out="b", law="pd", refit=False).joints["j1"]
     assert bool(found.mismatch) == bool(effects)
     baseline = found.baseline.joints["j1"]

@@ -7,9 +7,9 @@ import pytest
 from simulated import KD, KP, LATENCY, NOISE, traced
 
 from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.open_sets import detection_limits
 from sim2real.diagnose.screening import Screen, candidate, screen
 from sim2real.diagnose.servo_search import baselines
-from sim2real.diagnose.wording import detection_limits
 from sim2real.effects import named
 from sim2real.identification.held_out import FOLDS, Unseen, folds, held_out
 from sim2real.servo.batch import Batch

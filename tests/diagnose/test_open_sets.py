@@ -70,8 +70,8 @@ def test_they_survive_a_file_and_are_tried_again(rivals):
     assert again.content() == content
     recording = replace(two()[0], metadata={"rivals": [content]})
     stated = stated_sets([recording], "j1")
-    assert [one.effects for one in stated] == [frozenset(one.effects) for one in rivals.sets]
-    np.testing.assert_array_equal(stated[0].theta[0], rivals.sets[0].theta[0])
+    assert [effects for effects, _ in stated] == [frozenset(one.effects) for one in rivals.sets]
+    np.testing.assert_array_equal(stated[0][1][0], rivals.sets[0].theta[0])
 
 
 def test_an_ordinary_recording_is_asked_what_an_earlier_diagnosis_left_open(rivals, tmp_path):
@@ -80,7 +80,7 @@ def test_an_ordinary_recording_is_asked_what_an_earlier_diagnosis_left_open(riva
     file.write_text(json.dumps(content))
     first, second = with_open_sets(two(), file)
     assert stated_sets([first], "j1") == ()
-    assert [one.effects for one in stated_sets([first, second], "j1")] == [
+    assert [effects for effects, _ in stated_sets([first, second], "j1")] == [
         frozenset(one.effects) for one in rivals.sets
     ]
     assert separations("j1", design_of([second], "j1"), {}) == ()

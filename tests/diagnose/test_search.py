@@ -9,7 +9,6 @@ from searching import searched
 from simulated import INERTIA, KD, KP, LATENCY, NOISE, PERIOD, column, traced
 from strange import position_damping, strange
 
-from sim2real.diagnose import servo_search
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.effect_search import search_again
@@ -92,7 +91,7 @@ def test_a_search_out_of_budget_tries_no_combinations_and_says_so(monkeypatch):
     given = [traced(1, "a", seconds=6.0, **two), traced(2, "b", seconds=6.0, **two)]
 
     def tried(most):
-        monkeypatch.setattr(servo_search, "DECISION", replace(DECISION, search_substeps=most))
+        monkeypatch.setattr(DECISION, "search_substeps", most)
         found = searched(traces=given)
         return found.tried, found.search.unfinished, found.batch.substeps[0]
 
