@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from tqdm import tqdm
 
-from sim.inference.swims import FLUID_THREADS, POSES, by_twin
+from sim.inference.swims import FLUID_THREADS, POSES
 from sim.robot.live import State
 from sim.robot.swimmer import CONTROL_S, Swimmer
+from sim.twin.twin import Twin
 from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
@@ -107,7 +108,7 @@ def simulate_recording(
         column = recording.columns.get(name, np.zeros(0))
         pose[k] = next(iter(column[np.isfinite(column)]), 0.0)
     if fidelity == "twin":
-        track = by_twin(robot, device=device)([model], command, pose)[0]
+        track = Twin(robot, model, device=device).swum(command, pose)[0]
     else:
         swimmer = Swimmer(robot, model, device=device, threads=FLUID_THREADS, **options)
         if POSES[0] in recording.columns:

@@ -56,7 +56,8 @@ def stages(folder: Path, out: Path, seed: int, tested: bool) -> Pool:
     missing = diagnose_swims([swim], servos, robot, by_followed_twin(robot))
     times.append(time.perf_counter())
     free = twin_parameters(missing.model, robot)
-    fitted = calibrate([swim], missing.model, free, by_twin(robot))
+    twin = by_twin(robot)
+    fitted = calibrate([swim], missing.model, free, twin)
     times.append(time.perf_counter())
     gathered = gather([recording], robot, fitted.model)
     times.append(time.perf_counter())
@@ -65,7 +66,7 @@ def stages(folder: Path, out: Path, seed: int, tested: bool) -> Pool:
         results = ablated(folder, out, seed, fitted.model, gathered.ranges, pretrained=True)
     times.append(time.perf_counter())
     seconds = tuple(b - a for a, b in zip(times, times[1:], strict=False))
-    calibration = Calibration(fitted.model, servos, robot, (swim,), fitted)
+    calibration = Calibration(fitted.model, servos, robot, (swim,), twin, fitted)
     return Pool(missing, calibration, gathered, results, seconds)
 
 

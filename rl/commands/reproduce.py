@@ -135,7 +135,7 @@ def calibration(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     simulator = by_twin(fish.robot) if options.fidelity == "twin" else by_fluid(fish.robot, **fluid)
     shown, errors = [], {}
     for swim in swims:
-        track = simulator([fish.model], swim.command, swim.start)
+        track = simulator([fish.model], swim)
         signals = seen(swim.t, track, [values(fish.model)])[0]
         one = Compared(swim, signals, np.unwrap(track[0, :, 2]))
         shown.append(one)

@@ -17,9 +17,8 @@ import numpy as np
 from sim.fluid.fluid import POOL_M
 from sim.inference.coordinates import Coordinates, signals_at
 from sim.inference.law_error import NEVER
-from sim.inference.pose_noise import PoseNoise
 from sim.inference.signal_error import Blocks
-from sim.inference.swims import SUBSTEPS, Swim, by_followed_twin
+from sim.inference.swims import SUBSTEPS, PoseNoise, Swim, by_followed_twin
 from sim.twin.twin import Twin
 from sim2real.arrays import Array
 from sim2real.design.limits import CommandLimits, check_seconds, limits_of
@@ -214,9 +213,7 @@ class SwimObjective(RivalObjective):
         """Tracks of the likeliest set in the pool, shape (N, T, 3 + J), from standstill."""
         model, N = self._coordinates.model_at(self._points[0]), len(commands)
         twin = Twin(self._robot, model, n_envs=N, substeps=SUBSTEPS, threads=self._threads)
-        twin.reset(pose=np.zeros((N, 3)))
-        first = twin.track()[:, None]
-        return np.concatenate([first, twin.swim(commands[:, :-1], which=np.arange(N))], axis=1)
+        return twin.swum(commands, np.zeros((N, 3)), np.arange(N))
 
     def _expansion(self, file: str) -> tuple[Array, Array]:
         """Points (M + 2 C, F): the sets, then pairs of which C coordinates differ by a step.

@@ -16,12 +16,11 @@ import numpy as np
 from sim.inference.coordinates import SERVOS, Name, Names, signals_at
 from sim.inference.in_water import resimulated, robot_in_water, water_of
 from sim.inference.law_error import IN_WATER, LAW_ERROR, LawError, learned, read_law_error
-from sim.inference.located import located, residuals, windows_of
+from sim.inference.residuals import SHAPES, located, residuals, windows_of
 from sim.inference.searched import HELD_OUT, Searched, raw, searched
 from sim.inference.swim_decision import Decided, Named, Numbers, decide
 from sim.inference.swim_problem import Fit
 from sim.inference.swims import FLUID_THREADS, Swim, SwimSimulator, names_in_files, swim_of
-from sim.inference.unlisted import SHAPES
 from sim.robot.swimmer import CONTROL_S
 from sim2real.arrays import Array
 from sim2real.body import body_effect, material_note
@@ -47,14 +46,6 @@ from sim2real.units import readable, readable_name
 
 Resimulate = Callable[[Model], tuple[SwimSimulator, Model] | None]
 """A function from a fitted model to a simulator corrected with it, ``in_water.resimulated``."""
-_SAMPLES = 400
-_REPEATED = 0.005
-_OUT_OF_PLANE = 3.0
-"""Least misfit of surge or sway at the beat frequency that suggests motion out of the plane."""
-_LARGE = 1.5
-"""Share of the residual, relative to that of an average signal, that shows the mismatch."""
-_IMPROVED = 0.8
-"""Ratio of errors after and before, below which a signal shows the mismatch."""
 
 
 def diagnose_recorded_swims(
@@ -77,10 +68,8 @@ def diagnose_recorded_swims(
         water = water_of(in_water, robot, model, [*swims, *earlier], device)
         law_error = read_law_error(IN_WATER)
         if device != "cpu":
-            again = partial(
-                resimulated, robot, water.of(model), swims, water,
-                device=device, threads=FLUID_THREADS,
-            )  # fmt: skip
+            prepared = partial(resimulated, robot, water.of(model), swims, water)
+            again = partial(prepared, device=device, threads=FLUID_THREADS)
     start, simulate = robot_in_water(robot, model, [in_water] if in_water else [])
     with progress_bar("diagnose") as progress:
         diagnosis = diagnose_swims(
@@ -158,7 +147,9 @@ def diagnosis_of(
     return Diagnosis(
         verdict=decided.verdict,
         mismatch=() if decided.verdict == "consistent" else mismatch,
-        effects=tuple(_named(result, decided, entry, chosen, numbers) for entry in decided.named),
+        effects=tuple(
+            _named(result, decided, entry, chosen, numbers["relative"]) for entry in decided.named
+        ),
         rivals=tuple(Rival(name, of, p) for (name, of), p in decided.rivals[:5]),
         unknown={"body": decided.unlisted},
         baseline_fit=baseline,
@@ -179,10 +170,10 @@ def diagnosis_of(
 def _mismatch(
     result: Searched, names: Sequence[str], before: Array, after: Array
 ) -> tuple[tuple[Mismatch, ...], str]:
-    """Signals with a large share of the residual, or that effects improve.
+    """Signals with a large share of the residual, or that effects improve, and what to record.
 
-    The one with the most first, and what to record about that. Shares are of the end of the swims,
-    by the fit to their beginning; the rest is of the fit to all.
+    The signal with the largest share comes first. Shares are of the end of the swims, by the fit to
+    their beginning; the rest is of the fit to all.
     """
     problem, swims = result.problem, result.problem.swims
     noise = np.mean([swim.noise_sd for swim in swims], axis=0)
@@ -190,19 +181,19 @@ def _mismatch(
     ends = [one[round((1 - HELD_OUT) * len(one)) :] for one in residuals(problem, unseen)]
     share = np.sum(np.concatenate(ends) ** 2, axis=0)
     share /= max(float(share.sum()), 1e-30)
-    least = min(_LARGE / share.size, float(share.max()))
+    least = min(1.5 / share.size, float(share.max()))  # 1.5 times that of an average signal
     residual = residuals(problem, result.plain.fit.rows)
     square = np.concatenate(residual) ** 2
     out, told = [], []
     for k in np.argsort(-share).tolist():
-        if share[k] >= least or after[k] < _IMPROVED * before[k]:
+        if share[k] >= least or after[k] < 0.8 * before[k]:
             where, advice = located(swims, square[:, k], k)
             where = f"{100 * share[k]:.0f} % of the residual of all signals, {where}"
             windows_s = windows_of(swims, [one[:, k] for one in residual])
-            component = names[k].partition(".")[0]
+            component, _, signal = names[k].partition(".")
             errors = float(before[k]), float(noise[k])
             out.append(Mismatch(names[k], component, *errors, float(share[k]), windows_s, where))
-            told.append(f"{advice}, for the {readable_name(names[k].partition('.')[2])}.")
+            told.append(f"{advice}, for the {readable_name(signal)}.")
     return tuple(out), told[0]
 
 
@@ -218,11 +209,11 @@ def _errors(result: Searched, members: Names) -> Array:
 
 
 def _named(
-    result: Searched, decided: Decided, entry: Named, chosen: Hypothesis[Fit], numbers: Numbers
+    result: Searched, decided: Decided, entry: Named, chosen: Hypothesis[Fit], relative: float
 ) -> NamedEffect:
     """A reported effect with its estimates, which are those of all reported effects together."""
     effect, component = entry.name
-    parameters = _estimates(result, decided, entry.name, numbers["relative"])
+    parameters = _estimates(result, decided, entry.name, relative)
     sizes = ", ".join(
         f"{readable_name(name)} {readable(name, x.mean)}" for name, x in parameters.items()
     )
@@ -247,25 +238,25 @@ def _named(
 
 
 def _estimates(
-    result: Searched, decided: Decided, name: Name, relative: float
+    result: Searched, decided: Decided, name: Name, relative: float, *, samples: int = 400
 ) -> dict[str, Estimate]:
     """Estimates of an effect's parameters, sampled, with a ``relative`` error of its size."""
     all_names = {named.name for named in decided.named}
     fitted = next(h for h in result.found if all_names.issubset(h.members))
     problem, c, x = result.problem, result.problem.coordinates, fitted.fit.x
-    own = c.of_effect(name)
+    own = c.effects[name]
     covariance = problem.covariance(fitted.members, fitted.fit)[np.ix_(own, own)]
     covariance += np.diag(problem.prior.imitation[own] ** 2 + (relative * x[own]) ** 2)
-    samples = np.tile(x, (_SAMPLES, 1))
-    samples[:, own] = np.random.default_rng(0).multivariate_normal(x[own], covariance, _SAMPLES)
-    samples[0] = x
-    drawn = [c.parameters(sample) for sample in c.clipped(samples)]
+    points = np.tile(x, (samples, 1))
+    points[:, own] = np.random.default_rng(0).multivariate_normal(x[own], covariance, samples)
+    points[0] = x
+    drawn = [c.parameters(point) for point in c.clipped(points)]
     out = {}
-    for p in c.effects[name]:
-        values = np.array([parameters.get(p.name, 0.0) for parameters in drawn])
+    for full in (c.columns[k].name for k in own):
+        values = np.array([parameters.get(full, 0.0) for parameters in drawn])
         ends = np.quantile(values, (0.05, 0.95)).tolist()
-        of_joint = f"{p.name.partition('.')[0]}." if name[1] == SERVOS else ""
-        shown = of_joint + p.name.rpartition(".")[2]
+        of_joint = f"{full.partition('.')[0]}." if name[1] == SERVOS else ""
+        shown = of_joint + full.rpartition(".")[2]
         out[shown] = Estimate(float(values[0]), float(values.std()), *ends)
     return out
 
@@ -288,26 +279,50 @@ def _remarks(result: Searched, decided: Decided, likely: float, *, referred: boo
         cause = SHAPES[decided.shape.split()[0]]
         yield f"An effect is likely that the catalogue lacks: {cause}."
     sideways, turn = float(result.misfit[:2, 1].max()), float(result.misfit[2, 1])
-    if decided.unlisted >= likely and sideways > _OUT_OF_PLANE and sideways > 1.5 * turn:
+    if decided.unlisted >= likely and sideways > 3.0 and sideways > 1.5 * turn:
         yield (
             f"The residual is mainly the head's sideways motion at the tail beat ({sideways:.0f} "
             f"times the usual one), more than its turning ({turn:.0f}). A body that rolls or "
             "heaves looks like this to an overhead camera; a planar model cannot follow it."
         )
     lost = result.problem.repeated
-    if lost > _REPEATED:
+    if lost > 0.005:
         yield f"{100 * lost:.0f} % of the poses equal the one before: the camera lost frames."
 
 
 def _rival_sets(
-    result: Searched, probability: Mapping[Names, float], numbers: Numbers
+    result: Searched,
+    probability: Mapping[Names, float],
+    numbers: Numbers,
+    *,
+    most: int = 10,
+    least: float = 0.02,
 ) -> SwimRivals:
-    """The sets of effects that may be present, given the swims."""
-    problem = result.problem
-    columns, prior = problem.coordinates.columns, problem.prior
+    """The sets of effects that may be present, given the swims: the ``most`` probable.
+
+    Also sets below the probability ``least`` that have an effect which no earlier one has.
+    """
+    problem, c, prior = result.problem, result.problem.coordinates, result.problem.prior
     noises = [s.pose_noise for s in problem.swims if s.pose_noise is not None]
-    chosen = _representatives(probability)
+    ranked = sorted(probability, key=lambda names: -probability[names])
+    chosen = [names for names in ranked if probability[names] > least][:most]
+    for names in ranked:
+        if len(chosen) < most and not frozenset().union(*chosen).issuperset(names):
+            chosen.append(names)
     total = sum(probability[names] for names in chosen)
+
+    def open_set(names: Names) -> SwimSet:
+        """A set with its parameters and their precision."""
+        fit, free = result.of(names).fit, np.flatnonzero(c.in_fit(names))
+        covariance = problem.covariance(names, fit)[np.ix_(free, free)]
+        titles = (
+            effect if component in ("body", "camera", SERVOS) else f"{effect}.{component}"
+            for effect, component in sorted(names)
+        )
+        found = {c.columns[k].name: float(fit.x[k]) for k in free}
+        share = float(probability[names] / total)
+        return SwimSet(tuple(titles), share, found, np.asarray(np.linalg.inv(covariance)))
+
     return SwimRivals(
         component="body",
         period_s=CONTROL_S,
@@ -315,36 +330,8 @@ def _rival_sets(
         pose_lag_s=noises[0].lag_s if noises else 0.0,
         joint_sd_rad=np.mean([swim.noise_sd[3:] for swim in problem.swims], axis=0),
         shares=prior.shares,
-        imitation={c.name: sd for c, sd in zip(columns, prior.imitation.tolist(), strict=True)},
+        imitation={c.name: sd for c, sd in zip(c.columns, prior.imitation.tolist(), strict=True)},
         relative=numbers["relative"],
         temperature=numbers["temperature"],
-        sets=tuple(_set(result, result.of(names), probability[names] / total) for names in chosen),
-    )
-
-
-def _representatives(
-    probability: Mapping[Names, float], *, most: int = 10, least: float = 0.02
-) -> list[Names]:
-    """The most probable sets, then those that have an effect that no earlier one has."""
-    ranked = sorted(probability, key=lambda names: -probability[names])
-    out = [names for names in ranked if probability[names] > least][:most]
-    for names in ranked:
-        if len(out) < most and names not in out and not frozenset().union(*out).issuperset(names):
-            out.append(names)
-    return out
-
-
-def _set(result: Searched, hypothesis: Hypothesis[Fit], probability: float) -> SwimSet:
-    """A set with its parameters and their precision."""
-    c, fit = result.problem.coordinates, hypothesis.fit
-    free = np.flatnonzero(c.in_fit(hypothesis.members))
-    covariance = result.problem.covariance(hypothesis.members, fit)
-    return SwimSet(
-        effects=tuple(
-            effect if component in ("body", "camera", SERVOS) else f"{effect}.{component}"
-            for effect, component in sorted(hypothesis.members)
-        ),
-        probability=float(probability),
-        coordinates={c.columns[k].name: float(fit.x[k]) for k in free},
-        information=np.asarray(np.linalg.inv(covariance[np.ix_(free, free)])),
+        sets=tuple(open_set(names) for names in chosen),
     )

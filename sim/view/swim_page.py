@@ -10,7 +10,6 @@ import numpy as np
 from sim.inference.law_error import LAW_ERROR
 from sim.inference.swims import (
     HELD_OUT_SHARE,
-    Simulator,
     Swim,
     SwimSimulator,
     names_in_files,
@@ -54,7 +53,7 @@ _PLOTTED = 3
 def swim_panels(
     swim: Swim,
     models: tuple[Model, Model],
-    simulator: Simulator,
+    simulator: SwimSimulator,
     robot: Robot,
     *,
     label: str = "calibrated",
@@ -114,8 +113,7 @@ def swims_section(
         models = (diagnosis.baseline, enriched_model)
         for swim in swims[:_PLOTTED]:
             panels = swim_panels(
-                swim, models, lambda some, *_, swim=swim: simulate(some, swim), robot,
-                label="with what is named", held_out=0.0,
+                swim, models, simulate, robot, label="with what is named", held_out=0.0,
                 windows_s={m.signal: m.windows_s.get(swim.name, ()) for m in diagnosis.mismatch},
             )  # fmt: skip
             caption = _COMPARED.format(swim=swim.name)
