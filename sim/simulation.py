@@ -115,7 +115,7 @@ def simulate_recording(
             swimmer.reset(pose=pose)
         track = _swum(swimmer, command, recording.name, video)
         if plot is not None:
-            from sim.view.render import picture, save_picture
+            from sim.view.picture import picture, save_picture
 
             save_picture(picture(swimmer), plot)
     if not np.isfinite(track).all():
@@ -158,7 +158,7 @@ def _swum(swimmer: Swimmer, command: Array, name: str, video: File | None) -> Ar
     states = [swimmer.state()]
     with ExitStack() as stack:
         if video is not None:
-            from sim.view.render import picture
+            from sim.view.picture import picture
             from sim.view.video import FRAMES_PER_S, Video
 
             film = stack.enter_context(Video(video))

@@ -228,7 +228,7 @@ def simulate(
         FloatingPointError: If the flow became supersonic, and the robot was stopped.
     """
     from sim.simulation import Simulated, simulate_recording
-    from sim.view.render import check_picture
+    from sim.view.picture import check_picture
     from sim.view.video import check_video
 
     check_choice("simulate", "fidelity", fidelity, ("fluid", "twin"))

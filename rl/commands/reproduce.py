@@ -27,7 +27,7 @@ from rl.experiments.testbeds import (
 from rl.make import draws_of
 from rl.sac.plan import Arm, plan_of
 from rl.task import CONTROL_S, TASKS, Task
-from sim.view.canvas import GRID_M
+from sim.view.picture import GRID_M
 from sim.view.video import Video, check_video
 from sim2real.arrays import Array
 from sim2real.errors import InputError, check_whole

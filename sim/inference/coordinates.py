@@ -43,7 +43,20 @@ QUICK_S, SLOW_S = 0.12, 0.9
 LATENCY, SUBSTEP_S = ".latency_s", CONTROL_S / SUBSTEPS
 _CURRENT = ("pool_current.u_m_s", "pool_current.v_m_s")
 _STIFF, _RELAX = "skin_viscoelasticity.stiffness_Nm_per_rad", "skin_viscoelasticity.relaxation_s"
-
+_PLACES = {
+    "tether.x_m": ("tether.stiffness_N_per_m", 1e-4),
+    "tether.y_m": ("tether.stiffness_N_per_m", 1e-4),
+    "appendage_drag.x_m": ("appendage_drag.area_m2", 1e-5),
+}
+"""Places whose coordinates are size times place: the size, and the least with an influence."""
+_LIMITS = {
+    "tether.stiffness_N_per_m": (0.0, 10.0, 0.05, 0.4),
+    "tether.x_m": (-10.0, 10.0, 0.05, 0.4),
+    "tether.y_m": (-10.0, 10.0, 0.05, 0.4),
+    "appendage_drag.x_m": (0.0, 0.2, 1e-4, 2e-3),
+    _RELAX: (0.0, 10.0, 0.15, 1.2),
+}
+"""Bounds, step and prior standard deviation of coordinates, where not those of the parameter."""
 SERVO = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
 SERVOS = "servos"
 """Component of effects that all servos share, each of a size of its own in every joint."""
@@ -157,23 +170,6 @@ def _materials(robot: Robot) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Placed:
-    """An effect of a size at a place; coordinates are the size, and size times places."""
-
-    size: str  # name of the size
-    places: tuple[str, ...]  # names of the places
-    bound: float  # bound, step and prior standard deviation of the products
-    step: float
-    prior_sd: float
-    least_size: float  # size below which a place has no influence
-
-
-_TETHER = Placed("tether.stiffness_N_per_m", ("tether.x_m", "tether.y_m"), 10.0, 0.05, 0.4, 1e-4)
-_DRAG = Placed("appendage_drag.area_m2", ("appendage_drag.x_m",), 0.2, 1e-4, 2e-3, 1e-5)
-_PLACED = (_TETHER, _DRAG)
-
-
-@dataclass(frozen=True)
 class Column:
     """One coordinate."""
 
@@ -224,14 +220,16 @@ class Coordinates:
         """
         law = law_parameters(Coefficients.of(model.body), LAW)
         usual = [*servo_parameters(model, robot, gains=True), *law]
-        own = {p.name for p in free}
-        columns = varied([*free, *(p for p in usual if p.name not in own)])
+        given = {p.name for p in free}
+        columns = varied([*free, *(p for p in usual if p.name not in given)])
         waters = model.body.get("water", {})
         columns += [Column(f"water.{n}", None, 0.0, -4.0, 4.0, 0.5) for n in WATER if n in waters]
         known = values(model).keys() if free else set()
         for effect, some in candidates(robot).items():
-            if not known & {p.name for p in some}:
-                columns += [Column(p.name, effect, 0.0, *_limits(effect, some, p)) for p in some]
+            for p in some if not known & {p.name for p in some} else ():
+                low = 0.0 if effect[0] in WATER_FORCES else p.low
+                own = low, p.high, 0.5 * p.typical, p.prior_sd
+                columns.append(Column(p.name, effect, 0.0, *_LIMITS.get(p.name, own)))
         columns += [
             Column(name, (ERROR, "camera"), 0.0, -1.0, 1.0, 0.01, 0.0)
             for name in signal_error.kinds_of(len(robot.joints))
@@ -269,10 +267,9 @@ class Coordinates:
             out[_STIFF] = quick + slow
             share = slow / (quick + slow) if quick + slow > 0 else 0.5
             out[_RELAX] = float(QUICK_S ** (1 - share) * SLOW_S**share)
-        for placed in _PLACED:
-            for name in placed.places if placed.size in out and self.effects else ():
-                size = out[placed.size]
-                place = out[name] / size if size > placed.least_size else 0.0
+        for name, (of, least) in _PLACES.items():
+            if name in out and self.effects:
+                place = out[name] / out[of] if out[of] > least else 0.0
                 out[name] = float(np.clip(place, -10.0, 10.0))
         for k in absent:
             del out[self.columns[k].name]
@@ -308,12 +305,11 @@ class Coordinates:
         points = np.tile(x, (x.size + 1, 1))
         points[np.arange(1, x.size + 1), np.arange(x.size)] += self.steps(x)
         base = np.zeros(x.size, dtype=np.intp)
-        for placed in _PLACED:
-            size = self.place.get(placed.size)
-            if size is not None and x[size] < 10 * placed.least_size:
-                for k in (self.place[name] for name in placed.places):
-                    points[k + 1, size] = points[size + 1, size]
-                    base[k] = size + 1
+        for name, (of, least) in _PLACES.items():
+            if name in self.place and x[self.place[of]] < 10 * least:
+                k, size = self.place[name], self.place[of]
+                points[k + 1, size] = points[size + 1, size]
+                base[k] = size + 1
         return points, base
 
 
@@ -326,22 +322,6 @@ def varied(free: Sequence[Parameter]) -> list[Column]:
         )
         for p in free
     ]  # fmt: skip
-
-
-def _limits(
-    effect: Name, free: Sequence[Parameter], p: Parameter
-) -> tuple[float, float, float, float]:
-    """Bounds, step and prior standard deviation of the column of an effect's parameter."""
-    if p.name == _RELAX:
-        return 0.0, 10.0, free[0].typical / 2, 4 * free[0].typical
-    for placed in _PLACED:
-        if p.name in placed.places:
-            low = 0.0 if p.low == 0.0 else -placed.bound
-            return low, placed.bound, placed.step, placed.prior_sd
-    low = 0.0 if effect[0] in WATER_FORCES else p.low
-    if p.name == _TETHER.size:
-        return low, p.high, _TETHER.step, _TETHER.prior_sd
-    return low, p.high, 0.5 * p.typical, p.prior_sd
 
 
 def is_shown(name: str) -> bool:

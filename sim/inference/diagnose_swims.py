@@ -17,7 +17,7 @@ from sim.inference.coordinates import SERVOS, Name, Names, signals_at
 from sim.inference.in_water import resimulated, robot_in_water, water_of
 from sim.inference.law_error import IN_WATER, LAW_ERROR, LawError, learned, read_law_error
 from sim.inference.residuals import SHAPES, located, residuals, windows_of
-from sim.inference.searched import HELD_OUT, Searched, raw, searched
+from sim.inference.searched import HELD_OUT, Searched, searched
 from sim.inference.swim_decision import Decided, Named, Numbers, decide
 from sim.inference.swim_problem import Fit
 from sim.inference.swims import FLUID_THREADS, Swim, SwimSimulator, names_in_files, swim_of
@@ -112,30 +112,29 @@ def diagnose_swims(
     the likely model of the first search to a simulator for a second one and the model that it is
     exact for, or None. Errors of the diagnosis are held-out errors of the speed over ground, m/s.
     """
-    referred = bool(references)
     prior = learned(references, model, robot, simulate, law_error)
-    result = searched(swims, model, robot, simulate, prior, progress)
-    again = resimulate and resimulate(likely_model(result, law_error, referred=referred))
+    given = swims, model, robot
+    referred = bool(references)
+    result = searched(*given, simulate, prior, progress, referred=referred)
+    again = resimulate and resimulate(likely_model(result, law_error))
     if again:
-        result = searched(swims, model, robot, again[0], prior, simulated=again[1])
-    return diagnosis_of(result, robot, law_error, referred=referred)
+        result = searched(*given, again[0], prior, simulated=again[1], referred=referred)
+    return diagnosis_of(result, robot, law_error)
 
 
-def likely_model(result: Searched, law_error: LawError, *, referred: bool) -> Model:
-    """The fitted model with the likely effects; ``referred``: there were reference swims."""
+def likely_model(result: Searched, law_error: LawError) -> Model:
+    """The fitted model with the likely effects."""
     numbers = law_error.decisions
-    named = decide(raw(result, referred=referred), numbers).named
+    named = decide(result.raw, numbers).named
     likely = frozenset(effect.name for effect in named if effect.probability >= numbers["likely"])
-    return result.problem.coordinates.model_at(result.of(likely).fit.x)
+    return result.problem.coordinates.model_at(result.found[likely].fit.x)
 
 
-def diagnosis_of(
-    result: Searched, robot: Robot, law_error: LawError, *, referred: bool
-) -> Diagnosis:
-    """The diagnosis from a search; ``referred``: there were reference swims."""
+def diagnosis_of(result: Searched, robot: Robot, law_error: LawError) -> Diagnosis:
+    """The diagnosis from a search."""
     numbers = law_error.decisions
-    decided = decide(raw(result, referred=referred), numbers)
-    c, plain, chosen = result.problem.coordinates, result.plain, result.of(decided.offered)
+    decided = decide(result.raw, numbers)
+    c, plain, chosen = result.problem.coordinates, result.plain, result.found[decided.offered]
     names, likely = names_in_files(robot), numbers["likely"]
     before, after = (_errors(result, one.members) for one in (plain, chosen))
     baseline, enriched = (
@@ -162,7 +161,7 @@ def diagnosis_of(
             if entry.probability >= likely
         )
         or (Experiment("body", (), advice, "none", None, None, advice) if unclear else None),
-        gate=tuple(_remarks(result, decided, likely, referred=referred)),
+        gate=tuple(_remarks(result, decided, likely)),
         swim_rivals=_rival_sets(result, decided.sets, numbers),
     )
 
@@ -242,7 +241,7 @@ def _estimates(
 ) -> dict[str, Estimate]:
     """Estimates of an effect's parameters, sampled, with a ``relative`` error of its size."""
     all_names = {named.name for named in decided.named}
-    fitted = next(h for h in result.found if all_names.issubset(h.members))
+    fitted = next(h for h in result.found.values() if all_names.issubset(h.members))
     problem, c, x = result.problem, result.problem.coordinates, fitted.fit.x
     own = c.effects[name]
     covariance = problem.covariance(fitted.members, fitted.fit)[np.ix_(own, own)]
@@ -261,7 +260,7 @@ def _estimates(
     return out
 
 
-def _remarks(result: Searched, decided: Decided, likely: float, *, referred: bool) -> Iterator[str]:
+def _remarks(result: Searched, decided: Decided, likely: float) -> Iterator[str]:
     """Sentences on the simulator, the references, what is unlisted, and the camera."""
     water = "water" in result.problem.coordinates.model.body
     corrected = ", corrected by simulations in the fluid" if water else ""
@@ -269,7 +268,7 @@ def _remarks(result: Searched, decided: Decided, likely: float, *, referred: boo
         f"The swims were simulated in the reduced-order twin{corrected}; the error of the twin "
         "counts as noise (reports/pool_diagnosis)."
     )
-    if not referred:
+    if not result.raw["referred"]:
         yield (
             "There are no reference swims in which nothing is missing. Drag, friction and added "
             "mass that this robot always has, and errors of the twin for its shape, cannot be "
@@ -278,14 +277,15 @@ def _remarks(result: Searched, decided: Decided, likely: float, *, referred: boo
     if decided.unlisted >= likely:
         cause = SHAPES[decided.shape.split()[0]]
         yield f"An effect is likely that the catalogue lacks: {cause}."
-    sideways, turn = float(result.misfit[:2, 1].max()), float(result.misfit[2, 1])
+    surge, sway, turn = (row[1] for row in result.raw["misfit"][:3])
+    sideways = max(surge, sway)
     if decided.unlisted >= likely and sideways > 3.0 and sideways > 1.5 * turn:
         yield (
             f"The residual is mainly the head's sideways motion at the tail beat ({sideways:.0f} "
             f"times the usual one), more than its turning ({turn:.0f}). A body that rolls or "
             "heaves looks like this to an overhead camera; a planar model cannot follow it."
         )
-    lost = result.problem.repeated
+    lost = result.raw["repeated"]
     if lost > 0.005:
         yield f"{100 * lost:.0f} % of the poses equal the one before: the camera lost frames."
 
@@ -303,7 +303,7 @@ def _rival_sets(
     Also sets below the probability ``least`` that have an effect which no earlier one has.
     """
     problem, c, prior = result.problem, result.problem.coordinates, result.problem.prior
-    noises = [s.pose_noise for s in problem.swims if s.pose_noise is not None]
+    noises = [swim.pose_noise for swim in problem.swims]
     ranked = sorted(probability, key=lambda names: -probability[names])
     chosen = [names for names in ranked if probability[names] > least][:most]
     for names in ranked:
@@ -313,7 +313,7 @@ def _rival_sets(
 
     def open_set(names: Names) -> SwimSet:
         """A set with its parameters and their precision."""
-        fit, free = result.of(names).fit, np.flatnonzero(c.in_fit(names))
+        fit, free = result.found[names].fit, np.flatnonzero(c.in_fit(names))
         covariance = problem.covariance(names, fit)[np.ix_(free, free)]
         titles = (
             effect if component in ("body", "camera", SERVOS) else f"{effect}.{component}"
@@ -326,8 +326,8 @@ def _rival_sets(
     return SwimRivals(
         component="body",
         period_s=CONTROL_S,
-        pose_sd=np.mean([n.sd for n in noises], axis=0) if noises else np.zeros(3),
-        pose_lag_s=noises[0].lag_s if noises else 0.0,
+        pose_sd=np.mean([noise.sd for noise in noises], axis=0),
+        pose_lag_s=noises[0].lag_s,
         joint_sd_rad=np.mean([swim.noise_sd[3:] for swim in problem.swims], axis=0),
         shares=prior.shares,
         imitation={c.name: sd for c, sd in zip(c.columns, prior.imitation.tolist(), strict=True)},

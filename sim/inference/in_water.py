@@ -178,7 +178,7 @@ def with_nearest_law(robot: Robot, model: Model, water: InWater, **options: Any)
         (track,) = path_of(_displacements(steps[:1]), np.zeros(3), np.zeros(joints))
         t: Array = CONTROL_S * np.arange(len(command), dtype=np.float64)
         signals = np.concatenate([body_velocity(t, track[:, :3]), track[:, 3:]], axis=1)
-        swims.append(Swim(f"water {number}", t, command, np.zeros(3), signals, pose=track[:, :3]))
+        swims.append(Swim(f"water {number}", t, command, np.zeros(3), signals, track[:, :3]))
     twin = by_followed_twin(robot, **options)
     coordinates, prior = Coordinates.of(robot, model), learned([], model, robot, twin)
     problem = SwimProblem(coordinates, swims, twin, prior)
@@ -200,8 +200,6 @@ def by_twin_in_water(robot: Robot, model: Model, water: InWater, **options: Any)
         unique, place = distinct([replace(m, body={**m.body, "water": None}) for m in models])
         track = twin(unique, swim)[place]
         if key(swim) not in water.steps:
-            if swim.pose is None:
-                return track  # a swim that is only planned
             raise KeyError(f"{swim.name}: no simulation of these commands in the fluid")
         start = key(swim) + swim.start.tobytes()
         if start not in of_twin:

@@ -90,8 +90,7 @@ def _unnamed(swim: Swim) -> dict[str, Array]:
         rate = np.gradient(angle, swim.t)
         turning = np.stack([angle * signals[:, 1], -angle * signals[:, 0], rate], axis=1)
         bend[2 * j, :, :3], bend[2 * j + 1, :, 1] = 0.2 * turning, 0.04 * rate
-    pose = np.zeros((T, 3)) if swim.pose is None else swim.pose
-    around = 0.02 * np.stack([-pose[:, 1], pose[:, 0]], axis=1)
+    around = 0.02 * np.stack([-swim.pose[:, 1], swim.pose[:, 0]], axis=1)
     mount = flows(np.array([around, *(np.tile(0.02 * axis, (T, 1)) for axis in np.eye(2))]))
     mount[0, :, 2] = 0.02
     out = {"bend": bend, "mount": mount}
@@ -164,8 +163,7 @@ def _parts(swims: Sequence[Swim], signal: int) -> Iterator[tuple[str, Mask, str]
     (_, surge), (_, turning) = of_all(0), of_all(2)
     yield "in turns to the left", turning > np.quantile(np.abs(turning), 0.5), mirrored
     yield "in turns to the right", turning < -np.quantile(np.abs(turning), 0.5), mirrored
-    places = [np.zeros((s.t.size, 3)) if s.pose is None else s.pose for s in swims]
-    far_off = np.nan_to_num(np.hypot(*np.concatenate(places)[:, :2].T))
+    far_off = np.nan_to_num(np.hypot(*np.concatenate([s.pose for s in swims])[:, :2].T))
     states = (
         ("times", "s", t, "Record the same swim again, and a longer one"),
         (f"rates of joint {joint}", "rad/s", np.abs(rate), "Record beats of several frequencies"),

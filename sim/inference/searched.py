@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sim.inference.coordinates import Coordinates, Names, is_shown, signals_of
+from sim.inference.coordinates import Coordinates, is_shown, signals_of
 from sim.inference.residuals import gains
 from sim.inference.signal_error import kinds_of
 from sim.inference.swim_problem import COST, LOST, Fit, SwimPrior, SwimProblem
@@ -44,19 +44,15 @@ class Searched:
     """Result of a search, before decisions."""
 
     problem: SwimProblem  # the swims
+    found: dict[Members, Hypothesis[Fit]]  # every set that was tried, best first
     plain: Hypothesis[Fit]  # the fit without effects
-    found: list[Hypothesis[Fit]]  # every set that was tried, best first
     best: Hypothesis[Fit]  # the best set with an effect, likely or not
-    # evidence that unnamed shapes add to the plain fit and to the best
-    nameless: dict[str, dict[str, float]]
     held: dict[Members, HeldOutErrors]  # held-out errors of each subset of the best that was tried
-    # mean square of the best fit's weighted errors by signal and band, less the estimated error of
-    # the twin, shape (4, 3)
-    misfit: Array
-
-    def of(self, names: Names) -> Hypothesis[Fit]:
-        """The set of these effects."""
-        return next(h for h in self.found if h.members == names)
+    # the input of ``swim_decision.decide``, from which thresholds are fitted, in types of JSON: the
+    # evidence of each set, that of unnamed shapes beside the plain fit and the best, held-out
+    # errors, and the mean square of the best fit's weighted errors by signal and band, less the
+    # estimated error of the twin (4, 3)
+    raw: dict[str, Any]
 
 
 def searched(
@@ -67,11 +63,14 @@ def searched(
     prior: SwimPrior,
     progress: Progress = lambda share: None,
     simulated: Model | None = None,
+    *,
+    referred: bool = False,
 ) -> Searched:
     """Try sets of effects on swims of one robot, with a prior from ``learned``.
 
     The twin predicts a strong effect with an error in proportion to its change; a second search
     counts it as noise, except for effects of ``simulated``, the model that the fluid simulated.
+    ``referred``: the prior has reference swims.
     """
     problem = SwimProblem(Coordinates.of(robot, model), swims, simulate, prior)
     found = _search(problem, lambda share: progress(0.5 * share))
@@ -86,12 +85,27 @@ def searched(
             found = _search(problem, lambda share: progress(0.5 + 0.4 * share))
     tried = {hypothesis.members: hypothesis for hypothesis in found}
     plain, best = tried[frozenset()], next(h for h in found if h.members)
-    both = {"plain": plain, "best": best}
-    nameless = {name: gains(problem, h.members, h.fit) for name, h in both.items()}
     held = {s: _held_out(problem, tried[s]) for s in _subsets(best.members) if s in tried}
-    misfit = problem.misfit(best.members, best.fit)
+    sets = [
+        {"names": sorted(map(list, h.members)), "settled": h.fit.local,
+         "evidence": h.evidence + COST * len(h.members) - plain.evidence}
+        for h in found
+    ]  # fmt: skip
+    raw = {
+        "sets": sets,
+        "nameless": {
+            name: gains(problem, h.members, h.fit) for name, h in (("plain", plain), ("best", best))
+        },
+        "held": [
+            {"names": sorted(map(list, members)), "loss": errors.loss, "speed": errors.speed}
+            for members, errors in held.items()
+        ],
+        "misfit": problem.misfit(best.members, best.fit).tolist(),
+        "referred": referred,
+        "repeated": problem.repeated,
+    }
     progress(1.0)
-    return Searched(problem, plain, found, best, nameless, held, misfit)
+    return Searched(problem, tried, plain, best, held, raw)
 
 
 def _search(
@@ -180,26 +194,3 @@ def _held_out(problem: SwimProblem, hypothesis: Hypothesis[Fit]) -> HeldOutError
         square += float(np.sum((error[:, :2] / weight[:, :2]) ** 2))
         count += int(left[:, 0].sum())
     return HeldOutErrors(fit, 0.5 * float(rows @ rows), float(np.sqrt(square / max(count, 1))))
-
-
-def raw(found: Searched, *, referred: bool) -> dict[str, Any]:
-    """The input of ``swim_decision.decide``, in types of JSON, from which thresholds are fitted."""
-
-    def listed_names(members: Members) -> list[list[str]]:
-        return [list(name) for name in sorted(members)]
-
-    return {
-        "sets": [
-            {"names": listed_names(h.members), "settled": h.fit.local,
-             "evidence": h.evidence + COST * len(h.members) - found.plain.evidence}
-            for h in found.found
-        ],
-        "nameless": found.nameless,
-        "held": [
-            {"names": listed_names(members), "loss": errors.loss, "speed": errors.speed}
-            for members, errors in found.held.items()
-        ],
-        "misfit": found.misfit.tolist(),
-        "referred": referred,
-        "repeated": found.problem.repeated,
-    }  # fmt: skip

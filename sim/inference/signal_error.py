@@ -16,7 +16,7 @@ from numpy.polynomial.legendre import legvander
 from scipy.fft import dct
 from scipy.ndimage import uniform_filter1d
 
-from sim.inference.swims import PoseNoise, Swim, block_bounds
+from sim.inference.swims import Swim, block_bounds
 from sim.robot.swimmer import CONTROL_S
 from sim2real.arrays import Array, Index
 from sim2real.velocity import body_velocity
@@ -66,14 +66,11 @@ class Blocks:
         sizes = [b - a for a, b in edges]
         hertz = np.concatenate([np.arange(n) / (2 * n * period) for n in sizes])
         transformed = spectrum(np.nan_to_num(swim.signals), edges)
-        pose_noise = swim.pose_noise or PoseNoise(np.zeros(3))
-        samples = pose_noise.drawn(np.random.default_rng(0), (12, swim.t.size), period)
+        samples = swim.pose_noise.drawn(np.random.default_rng(0), (12, swim.t.size), period)
         noise_power = (spectrum(body_velocity(swim.t, samples), edges) ** 2).mean(axis=0)
         noise = np.empty_like(transformed)
         for a, b in edges:
             noise[a:b, :3] = uniform_filter1d(noise_power[a:b], 9, axis=0, mode="nearest")
-        if swim.pose_noise is None:
-            noise[:, :3] = swim.noise_sd[:3] ** 2
         noise[:, 3:] = swim.noise_sd[3:] ** 2 + _STEP_RAD**2
         noise[:, np.isnan(swim.signals).all(axis=0)] = np.inf  # not measured
         block, band = np.repeat(np.arange(len(edges)), sizes), np.searchsorted(BANDS_HZ, hertz)

@@ -184,11 +184,11 @@ class SwimProblem:
         loss += float(gradient @ step) + 0.5 * float(step @ curvature @ step)
         volume = np.linalg.slogdet(curvature)[1] - np.linalg.slogdet(self.precision(members))[1]
         end = np.where(self.coordinates.in_fit(members), fit.x + step, 0.0)
-        lag_s = (
-            float(end[self.coordinates.place[FILTER]]) if FILTER in self.coordinates.place else 0.0
-        )
-        noises = [swim.pose_noise for swim in self.swims if swim.pose_noise and lag_s > 0]
-        direct = self.counted(members) + sum(noise.log_ratio(lag_s) for noise in noises)
+        place = self.coordinates.place.get(FILTER)
+        lag_s = 0.0 if place is None else float(end[place])
+        direct = self.counted(members)
+        if lag_s > 0:
+            direct += sum(swim.pose_noise.log_ratio(lag_s) for swim in self.swims)
         direct -= COST * len(members)
         return direct - loss - 0.5 * float(volume)
 

@@ -114,19 +114,15 @@ class Swim:
     start: Array  # first pose: x, y, heading
     # surge, sway, yaw rate and the joints' angles, shape (T, 3 + J); NaN where missing
     signals: Array
-    # standard deviation of the recording's noise in each signal, shape (3 + J,); 0 where it is not
-    # known
+    pose: Array  # measured poses, shape (T, 3)
+    # standard deviation of the recording's noise in each signal, shape (3 + J,)
     noise: Array | float = 0.0
-    pose: Array | None = None  # measured poses, shape (T, 3); None if they are not known
     repeated: float = 0.0  # share of the poses that are identical to those of the sample before
-    pose_noise: PoseNoise | None = None  # noise of the poses; None where it is not known
+    pose_noise: PoseNoise = PoseNoise(np.zeros(3))  # noise of the poses
 
     @property
     def heading(self) -> Array:
         """Measured heading, shape (T,), smoothed with the same filter as the velocities."""
-        if self.pose is None:
-            turned = np.cumsum(self.signals[:, 2]) * CONTROL_S
-            return np.asarray(self.start[2] + turned - turned[0])
         return np.asarray(savgol_filter(self.pose[:, 2], min(11, self.t.size), 2))
 
     @property
@@ -137,10 +133,8 @@ class Swim:
     def first(self, share: float) -> Swim:
         """The first part of the swim."""
         n = round(self.t.size * share)
-        pose = None if self.pose is None else self.pose[:n]
-        return replace(
-            self, t=self.t[:n], command=self.command[:n], signals=self.signals[:n], pose=pose
-        )
+        names = ("t", "command", "signals", "pose")
+        return replace(self, **{name: getattr(self, name)[:n] for name in names})
 
 
 def units_of(robot: Robot) -> dict[str, str]:
@@ -193,8 +187,8 @@ def swim_of(recording: Recording, robot: Robot) -> Swim:
         command=np.nan_to_num(recording.command[row][:, order]),
         start=grid[:_REST].mean(axis=0),
         signals=np.concatenate([body_velocity(t, grid), joints], axis=1),
-        noise=np.concatenate([body_velocity(t, samples).std(axis=0), _noise_sd(joints)]),
         pose=grid,
+        noise=np.concatenate([body_velocity(t, samples).std(axis=0), _noise_sd(joints)]),
         repeated=repeated,
         pose_noise=noise,
     )
@@ -284,12 +278,12 @@ def by_followed_twin(robot: Robot, **settings: Any) -> SwimSimulator:  # noqa: A
     def run(models: Sequence[Model], swim: Swim) -> Array:
         twin = Twin(robot, models, n_envs=len(models), **options)
         twin.reset(pose=swim.start)
-        measured = swim.start[None] if swim.pose is None else uniform_filter1d(swim.pose, 5, axis=0)
+        measured = uniform_filter1d(swim.pose, 5, axis=0)
         last = twin.track()
         angles, displacements = last[:, 3:], []
         commands = swim.command[:-1]
         for a, b in block_bounds(len(commands), CONTROL_S):
-            if a and swim.pose is not None:
+            if a:
                 _carry(twin, measured[a])
                 last = np.hstack([np.tile(measured[a], (len(models), 1)), last[:, 3:]])
             track = np.concatenate([last[:, None], twin.swim(commands[a:b])], axis=1)

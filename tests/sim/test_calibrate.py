@@ -32,10 +32,11 @@ SENT = np.array(
 
 def swum(truth, seed=0, model=None, robot=FISH):
     rng = np.random.default_rng(seed)
-    empty = Swim("made", TIMES, SENT, np.zeros(3), np.empty((0, 6)))
-    (signals,) = simulated(empty, [with_values(model or servos(), truth)], by_twin(robot))
+    made, nowhere = [with_values(model or servos(), truth)], np.zeros((TIMES.size, 3))
+    empty = Swim("made", TIMES, SENT, np.zeros(3), np.empty((0, 6)), nowhere)
+    (signals,), (track,) = simulated(empty, made, by_twin(robot)), by_twin(robot)(made, empty)
     noise = rng.standard_normal(signals.shape) * [0.005, 0.005, 0.02, 0.002, 0.002, 0.002]
-    return Swim("made", TIMES, SENT, np.zeros(3), signals + noise)
+    return replace(empty, signals=signals + noise, pose=track[:, :3])
 
 
 def test_what_was_put_in_comes_out():

@@ -283,7 +283,7 @@ def test_a_mount_that_drifts_is_no_effect_of_the_catalogue(few):
     before = learned([], servos(), FISH, simulate, IN_WATER)
     drifts = replace(swim, pose=pose, start=pose[0], signals=signals)
     found = searched([drifts], servos(), FISH, simulate, before)
-    shapes = found.nameless["plain"]
+    shapes = found.raw["nameless"]["plain"]
     assert max(shapes, key=shapes.__getitem__) == "mount"
     gain = found.best.evidence - found.plain.evidence + COST * len(found.best.members)
     assert shapes["mount"] > gain + 10
