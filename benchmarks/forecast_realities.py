@@ -59,8 +59,9 @@ from rl.make import noise_of, with_density
 from rl.sac.plan import RECIPES
 from rl.task import CONTROL_S, TASKS, Starts, Task
 from sim.inference.law_error import LAW_ERROR
-from sim.inference.swims import by_twin, with_values
+from sim.inference.swims import with_values
 from sim.twin.law import FITTED
+from sim.twin.twin import Twin
 from sim.verbs import calibrate, diagnose
 from sim2real.arrays import Array
 from sim2real.diagnose.result import write_diagnosis
@@ -238,7 +239,7 @@ def twin_group(options: argparse.Namespace, g: int) -> None:
         write_model(servos_of(names, *bench.values()), folder / "bench.json")
         command = command_of(rng, J, CONTROL_S, options.known_s)
         start = np.array([*rng.uniform(-0.5, 0.5, 2), rng.uniform(-3, 3)])
-        track = by_twin(robot)([models[-1]], command, start)[0]
+        track = Twin(robot, models[-1]).swum(command, start)[0]
         _write_known(folder, names, command, filmed(track[:, :3], rng), reported(track[:, 3:], rng))
     law = rng.standard_normal((R, 4)) * [*LAW_ERROR.shares[(0, 1, 2), (0, 1, 0)], 0.0]
     energy = json.loads(TWIN_ERROR.read_text())["energy"]

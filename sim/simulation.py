@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from tqdm import tqdm
 
-from sim.inference.swims import FLUID_THREADS, POSES, by_twin
+from sim.inference.swims import FLUID_THREADS, POSES
 from sim.robot.live import State
 from sim.robot.swimmer import CONTROL_S, Swimmer
+from sim.twin.twin import Twin
 from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
@@ -106,14 +107,14 @@ def simulate_recording(
         column = recording.columns.get(name, np.zeros(0))
         pose[k] = next(iter(column[np.isfinite(column)]), 0.0)
     if fidelity == "twin":
-        track = by_twin(robot, device=device)([model], command, pose)[0]
+        track = Twin(robot, model, device=device).swum(command, pose)[0]
     else:
         swimmer = Swimmer(robot, model, device=device, threads=FLUID_THREADS, **options)
         if POSES[0] in recording.columns:
             swimmer.reset(pose=pose)
         track = _swum(swimmer, command, recording.name, video)
         if plot is not None:
-            from sim.view.render import picture, save_picture
+            from sim.view.picture import picture, save_picture
 
             save_picture(picture(swimmer), plot)
     if not np.isfinite(track).all():
@@ -156,7 +157,7 @@ def _swum(swimmer: Swimmer, command: Array, name: str, video: File | None) -> Ar
     states = [swimmer.state()]
     with ExitStack() as stack:
         if video is not None:
-            from sim.view.render import picture
+            from sim.view.picture import picture
             from sim.view.video import FRAMES_PER_S, Video
 
             film = stack.enter_context(Video(video))

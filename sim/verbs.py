@@ -134,7 +134,7 @@ def calibrate(
     """
     from dataclasses import replace
 
-    from sim.inference.calibration import FluidSettings, calibrate_body
+    from sim.inference.calibration import calibrate_body
     from sim.inference.swims import swim_of
     from sim2real.output import provenance
     from sim2real.plausible import admitted
@@ -144,10 +144,10 @@ def calibrate(
     read = recordings_to_fit(recordings)
     _, notes = admitted(read, machine)
     swims = [swim_of(recording, machine) for recording in read]
-    settings = FluidSettings(cell_m, device, rollouts) if fluid else None
     calibration = calibrate_body(
-        swims, start, machine, fit_gains=fit_gains, held_out=held_out, fluid=settings, seed=seed
-    )
+        swims, start, machine, fit_gains=fit_gains, held_out=held_out, fluid=fluid, device=device,
+        cell_m=cell_m, rollouts=rollouts, seed=seed,
+    )  # fmt: skip
     origin = provenance([*read, machine, model], seed)
     calibrated = calibration.model
     notes = (*calibrated.notes, *(note for note in notes if note not in calibrated.notes))
@@ -228,7 +228,7 @@ def simulate(
         FloatingPointError: If the flow became supersonic, and the robot was stopped.
     """
     from sim.simulation import Simulated, simulate_recording
-    from sim.view.render import check_picture
+    from sim.view.picture import check_picture
     from sim.view.video import check_video
 
     check_choice("simulate", "fidelity", fidelity, ("fluid", "twin"))

@@ -17,7 +17,8 @@ from camera import NOISE, STEP_RAD
 from drawn import BENCH, BENCH_S, Case, Drawn
 from numpy.typing import NDArray
 
-from sim.inference.swims import by_twin, with_values
+from sim.inference.swims import with_values
+from sim.twin.twin import Twin
 from sim2real.model import Model
 from sim2real.velocity import body_velocity
 
@@ -88,7 +89,7 @@ def _nuisance(drawn: Drawn, model: Model, sent: Array, start: Array, t: Array) -
         joint, _, field = name.partition(".")
         models.append(with_values(model, {name: getattr(model.joints[joint], field) + step}))
     robot = replace(drawn.robot, name=drawn.robot.name)
-    track = by_twin(robot, threads=1)(models, sent, start)
+    track = Twin(robot, models, n_envs=len(models), threads=1).swum(sent, start)
     signals = np.stack([
         np.concatenate([body_velocity(t, one[:, :3]), one[:, 3:]], axis=1) for one in track
     ])  # fmt: skip

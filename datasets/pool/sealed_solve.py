@@ -31,7 +31,7 @@ from sim.inference.in_water import (
     with_fluid_effects,
 )
 from sim.inference.law_error import FILE, IN_WATER, LawError, learned, read_law_error
-from sim.inference.searched import raw, searched
+from sim.inference.searched import searched
 from sim.inference.swim_problem import SwimPrior
 from sim.inference.swims import swim_of
 from sim2real.commands.command import EXECUTOR, add_options, where_jobs_run
@@ -85,22 +85,23 @@ def answer(target: Path, *, case: str, water_folder: str | None, again_folder: s
         other = read_water_swims(again / f"{place.name}.npz")
         simulate = by_twin_in_water(robot, simulated_model, other, threads=1)
     swims = [swim_of(read_recording(path), robot) for path in sorted(folder.glob("*.csv"))]
-    found = searched(swims, model, robot, simulate, prior, simulated=simulated_model)
-    diagnosis = diagnosis_of(found, robot, known, referred=referred)
+    given = swims, model, robot, simulate, prior
+    found = searched(*given, simulated=simulated_model, referred=referred)
+    diagnosis = diagnosis_of(found, robot, known)
     write_diagnosis(diagnosis, target / "diagnosis.json", "enriched.json")
     assert diagnosis.baseline is not None
     if not again:
         write_model(diagnosis.baseline, target / "baseline.json")
-        there = with_fluid_effects(model, likely_model(found, known, referred=referred))
+        there = with_fluid_effects(model, likely_model(found, known))
         if differs(model, there):
             write_model(there, target / RESIMULATED)
     without = diagnosis.model == diagnosis.baseline
     offered = read_model(target / "baseline.json") if without else diagnosis.model
     write_model(offered, target / "enriched.json")
     for k, members in enumerate(found.held):
-        fit = next(one.fit for one in found.found if one.members == members)
+        fit = found.found[members].fit
         write_model(found.problem.coordinates.model_at(fit.x), target / f"tried_{k}.json")
-    (target / "raw.json").write_text(json.dumps(raw(found, referred=referred)) + "\n")
+    (target / "raw.json").write_text(json.dumps(found.raw) + "\n")
     cost = {"wall_s": time.perf_counter() - start, "cpu_s": time.process_time() - before}
     if again:
         first = json.loads((target / "cost.json").read_text())

@@ -177,8 +177,8 @@ def in_pool(folder: Path, out: Path, seed: int) -> Pool:
         with _stage("diagnose", f"physics missing from the body model, on {SWIM}"):
             missing = diagnose_swims([swim], servos, robot, by_followed_twin(robot))
         with _stage("calibrate", "the body in the twin, with the effects found"):
-            free = twin_parameters(missing.model, robot)
-            fitted = calibrate([swim], missing.model, free, by_twin(robot))
+            free, twin = twin_parameters(missing.model, robot), by_twin(robot)
+            fitted = calibrate([swim], missing.model, free, twin)
         with _stage("ranges", "randomization ranges"):
             gathered = gather([recording], robot, fitted.model)
         with _stage("ablate", "4 arms, trained beforehand, in the twin"):
@@ -192,7 +192,7 @@ def in_pool(folder: Path, out: Path, seed: int) -> Pool:
     write_diagnosis(missing, out / "swim.json", "swim.enriched.json")
     write_model(fitted.model, out / "calibrated.json")
     write_ranges(gathered.ranges, out / "ranges.json")
-    calibration = Calibration(fitted.model, servos, robot, (swim,), fitted)
+    calibration = Calibration(fitted.model, servos, robot, (swim,), twin, fitted)
     return Pool(missing, calibration, gathered, results, said.getvalue())
 
 

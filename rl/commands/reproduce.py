@@ -21,7 +21,7 @@ from rl.experiments.testbeds import DrawnTrials, SimulationSettings, trials_of
 from rl.make import draws_of
 from rl.sac.plan import Arm, plan_of
 from rl.task import CONTROL_S, TASKS, Task
-from sim.view.canvas import GRID_M
+from sim.view.picture import GRID_M
 from sim.view.video import Video, check_video
 from sim2real.arrays import Array
 from sim2real.errors import InputError, check_whole
@@ -129,7 +129,7 @@ def calibration(options: argparse.Namespace, fish: Fish) -> tuple[Section, Any]:
     simulator = by_twin(fish.robot) if options.fidelity == "twin" else by_fluid(fish.robot, **fluid)
     shown, errors = [], {}
     for swim in swims:
-        track = simulator([fish.model], swim.command, swim.start)
+        track = simulator([fish.model], swim)
         signals = seen(swim.t, track, [values(fish.model)])[0]
         rows = compared_signals(swim, signals, np.unwrap(track[0, :, 2]))
         shown.append((swim, rows))

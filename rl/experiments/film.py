@@ -11,9 +11,23 @@ from rl.task import CONTROL_S
 from rl.world import World
 from sim.robot.shape import hull_of
 from sim.robot.swimmer import Swimmer
-from sim.view.canvas import add_line, blend, draw_ring, draw_robot, grid_lines, places, zoomed
-from sim.view.legend import INK, RULE, VORTICITY, Lettering, colours
-from sim.view.plane import Plane, front_ends, plane_of
+from sim.view.picture import (
+    INK,
+    RULE,
+    VORTICITY,
+    Lettering,
+    Plane,
+    add_line,
+    blend,
+    colours,
+    draw_ring,
+    draw_robot,
+    front_ends,
+    grid_lines,
+    places,
+    plane_of,
+    zoomed,
+)
 from sim.view.video import FRAMES_PER_S, Video
 from sim2real.arrays import Array, Mask, Picture
 

@@ -48,30 +48,25 @@ def run(options: argparse.Namespace) -> int:
 
 def write_all(diagnosis: Diagnosis, out: Path) -> None:
     """Write the diagnosis, the enriched model and the commands to repeat, if there are any."""
+    plan = diagnosis.next_experiment
+    if plan is not None and plan.t is not None and plan.signal is not None:
+        path = beside(out, f"{out.stem}.next.csv")
+        load = diagnosis.model.joints[plan.component].load
+        recording = Recording(
+            name=path.stem,
+            kind="servo",
+            joints=(plan.component,),
+            t=plan.t,
+            command=plan.signal[:, None],
+            position=np.full((plan.t.size, 1), np.nan),
+            loads={} if load is None else {plan.component: load},
+            source="commands to record next, by sim2real diagnose",
+        )
+        write_recording(recording, path)
+        diagnosis = replace(diagnosis, next_experiment=replace(plan, file=path.name))
     enriched = beside(out, f"{out.stem}.enriched.json")
     write_model(diagnosis.model, enriched)
-    write_diagnosis(_with_commands(diagnosis, out), out, enriched.name)
-
-
-def _with_commands(found: Diagnosis, out: Path) -> Diagnosis:
-    """The diagnosis, naming the file of the commands to repeat, a recording without positions."""
-    plan = found.next_experiment
-    if plan is None or plan.t is None or plan.signal is None:
-        return found
-    path = beside(out, f"{out.stem}.next.csv")
-    load = found.model.joints[plan.component].load
-    recording = Recording(
-        name=path.stem,
-        kind="servo",
-        joints=(plan.component,),
-        t=plan.t,
-        command=plan.signal[:, None],
-        position=np.full((plan.t.size, 1), np.nan),
-        loads={} if load is None else {plan.component: load},
-        source="commands to record next, by sim2real diagnose",
-    )
-    write_recording(recording, path)
-    return replace(found, next_experiment=replace(plan, file=path.name))
+    write_diagnosis(diagnosis, out, enriched.name)
 
 
 def _shown(

@@ -1,10 +1,10 @@
 """A body calibrated to swims, in the reduced-order twin and then in the fluid.
 
 Intervals take the larger one of two covariances: that of the normal model, and the sandwich of
-White, Econometrica 48 (1980) 817, with the scores of blocks of some seconds. In the fluid the shift
-of a parameter relative to cells of twice the size, its error if errors are of first order in the
-cell (Roache, J. Fluids Eng. 116 (1994) 405), is added to the intervals in quadrature. In the twin
-intervals of servos and drag areas have everything else marginalised (``law_error.marginalised``).
+White, Econometrica 48 (1980) 817, with the scores of blocks of some seconds. In the twin those of
+servos and drag areas have everything else marginalised (``law_error.marginalised``). In the fluid
+they include the shift of a parameter relative to cells of twice the size (Roache, J. Fluids Eng.
+116 (1994) 405).
 """
 
 from __future__ import annotations
@@ -23,22 +23,21 @@ from sim.inference.coordinates import (
     servo_parameters,
     signals_at,
     twin_parameters,
+    varied,
     water_parameters,
 )
-from sim.inference.emulator import emulator
+from sim.inference.in_water import emulator
 from sim.inference.law_error import marginalised
 from sim.inference.swim_problem import SwimPrior, SwimProblem
 from sim.inference.swims import (
     FLUID_THREADS,
     HELD_OUT_SHARE,
-    Simulator,
     Swim,
     SwimSimulator,
     by_fluid,
     by_followed_twin,
     by_twin,
     names_in_files,
-    of_swims,
     simulated,
     units_of,
     with_values,
@@ -61,30 +60,6 @@ if TYPE_CHECKING:
 
     from sim2real.report.series import Panel
 
-FLUID_SHARE = 0.2
-"""Standard deviation of the calibrated fluid's error in cells of 1 cm, relative to the signal: a
-swimmer is up to 12 % too fast or too slow there, depending on the gait (``reports/resolution``)."""
-_FINEST = 1e-6
-"""Least error of a signal in its unit, which limits its weight: the fit may be exact."""
-_OFF, _OFF_SHARE = 3.0, 0.05
-"""Standard deviations, and share of the value, by which it differs from the interval's centre if a
-warning says so."""
-
-
-@dataclass(frozen=True)
-class FluidSettings:
-    """Settings of the fluid: side of a cell in m, Warp device, rollouts per batch."""
-
-    cell_m: float = 0.02
-    device: str = "cpu"
-    rollouts: int = 48
-
-    def simulator(self, robot: Robot, *, coarser: int = 1) -> Simulator:
-        """The fluid, in cells that are larger by a factor."""
-        return by_fluid(
-            robot, cell_m=coarser * self.cell_m, device=self.device, threads=FLUID_THREADS
-        )
-
 
 @dataclass(frozen=True)
 class Calibrated:
@@ -93,7 +68,8 @@ class Calibrated:
     model: Model  # the calibrated model
     free: tuple[Parameter, ...]  # the F fitted parameters
     best: Array  # their values, shape (F,)
-    covariance: Array  # covariance of their errors about ``centre``, shape (F, F)
+    centre: Array  # centre of their intervals, shape (F,)
+    covariance: Array  # covariance of their errors about the centre, shape (F, F)
     # held-out root mean square error of each signal, before and after, shape (2, 3 + J)
     rmse: Array
     train: Array  # likewise on the fitted part
@@ -101,13 +77,6 @@ class Calibrated:
     # shift of each parameter relative to cells of twice the size, shape (F,); None if that was not
     # requested, or such cells stop the robot
     grid: Array | None = None
-    # the parameters' means with everything else marginalised, shape (F,); None: ``best``
-    mean: Array | None = None
-
-    @property
-    def centre(self) -> Array:
-        """Centre of the intervals, shape (F,)."""
-        return self.best if self.mean is None else self.mean
 
     def interval(self, level: float = 0.9) -> Array:
         """Central intervals, wide enough to contain the fitted values, shape (F, 2)."""
@@ -121,26 +90,28 @@ def calibrate(
     swims: Sequence[Swim],
     model: Model,
     free: Sequence[Parameter],
-    simulator: Simulator,
+    simulator: SwimSimulator,
     *,
     held_out: float = HELD_OUT_SHARE,
 ) -> Calibrated:
     """Fit ``free`` parameters to swims in the twin; the last share ``held_out`` is scored."""
     parts = [swim.first(1 - held_out) for swim in swims]
-    result, best, covariance = _fit(parts, model, free, of_swims(simulator))
+    result, best, covariance = _fit(parts, model, free, simulator)
     before = with_values(model, {p.name: p.nominal for p in free})
-    train, held = _errors(swims, [before, result], simulator, held_out)
-    return Calibrated(result, tuple(free), best, covariance, held, train, np.zeros(held.shape[1]))
+    errors = _errors(swims, [before, result], simulator, held_out)
+    noise = np.zeros(errors[0].shape[1])
+    return Calibrated(result, tuple(free), best, best, covariance, *errors, noise)
 
 
 def calibrate_in_fluid(
     swims: Sequence[Swim],
     model: Model,
     robot: Robot,
-    fluid: Simulator,
-    settings: FluidSettings,
+    fluid: SwimSimulator,
     *,
-    coarser: Simulator | None = None,
+    cell_m: float,
+    rollouts: int,
+    coarser: SwimSimulator | None = None,
     gains: bool = False,
     held_out: float = HELD_OUT_SHARE,
     start: Model | None = None,
@@ -149,28 +120,29 @@ def calibrate_in_fluid(
     """Fit water, centre of mass and servos to swims in the fluid, by an ``emulator``.
 
     ``model`` is the model before, ``start`` that of the fit (``model`` where None), ``coarser`` the
-    fluid in cells of twice the size; other arguments are those of ``calibrate_body``.
+    fluid in cells of twice the size. The error of the fluid, in cells of 1 cm, is a fifth of the
+    signal: a swimmer is up to 12 % too fast or too slow there (``reports/resolution``).
     """
     parts = [swim.first(1 - held_out) for swim in swims]
-    water = water_parameters(robot, settings.cell_m)
+    water = water_parameters(robot, cell_m)
     centre = with_values(start or model, {water[-1].name: water[-1].nominal})
     servos = servo_parameters(centre, robot, gains=gains)
     free = [*servos, *water, *effect_parameters("com_offset")]
 
-    def fitted(simulator: Simulator, centre: Model, seed: int) -> tuple[Model, Array, Array]:
-        near = emulator(simulator, parts, centre, free, count=settings.rollouts, seed=seed)
-        return _fit(parts, centre, free, near, FLUID_SHARE)
+    def fitted(simulator: SwimSimulator, centre: Model, seed: int) -> tuple[Model, Array, Array]:
+        near = emulator(simulator, parts, centre, free, count=rollouts, seed=seed)
+        return _fit(parts, centre, free, near, 0.2)
 
     result, best, covariance = fitted(fluid, fitted(fluid, centre, seed)[0], seed + 1)
     grid = None
     if coarser is not None:
         with suppress(InputError):
             grid = np.abs(fitted(coarser, result, seed)[1] - best)
-    train, held = _errors(swims, [model, result], fluid, held_out)
-    if not np.isfinite(held).all():
+    errors = _errors(swims, [model, result], fluid, held_out)
+    if not np.isfinite(errors[0]).all():
         raise InputError("calibrate", "fluid", "the robot is stopped", "finer cells, more rollouts")
     noise = np.sqrt(np.mean([swim.noise_sd**2 for swim in swims], axis=0))
-    return Calibrated(result, tuple(free), best, covariance, held, train, noise, grid)
+    return Calibrated(result, tuple(free), best, best, covariance, *errors, noise, grid)
 
 
 def _fit(
@@ -179,31 +151,29 @@ def _fit(
     free: Sequence[Parameter],
     simulate: SwimSimulator,
     share: float | None = None,
-    *,
-    rounds: int = 2,
 ) -> tuple[Model, Array, Array]:
     """The fitted model, its parameters (F,), and their covariance, for each the larger one, (F, F).
 
     The error is the residual or, with ``share``, that share of the signal in a block, with noise; a
     signal counts as one sample per autocorrelation time.
     """
-    c = Coordinates.of_parameters(model, free)
+    c, finest = Coordinates(model, tuple(varied(free))), 1e-6  # a fit may be exact
     variance = np.diag(c.each("prior_sd") ** 2)
     prior = SwimPrior(c.nominal, variance, np.zeros(len(free)), np.ones((4, 3)))
     problem = SwimProblem(c, swims, simulate, prior)
     nothing: Members = frozenset()
     x = problem.centre(nothing)
-    for number in range(rounds):
+    for again in (False, True):
         errors = [signals_at(c, swim, x[None], simulate)[0] - swim.signals for swim in swims]
         rms = np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
         problem.weights = []
         for swim, blocks, error in zip(swims, problem.blocks, errors, strict=True):
-            size = np.tile(np.maximum(rms, _FINEST), (swim.t.size, 1))
+            size = np.tile(np.maximum(rms, finest), (swim.t.size, 1))
             for a, b in blocks.edges if share is not None else ():
                 signal = np.sqrt(np.mean(swim.signals[a:b] ** 2, axis=0))
-                size[a:b] = np.hypot(swim.noise_sd, share * signal) + _FINEST
+                size[a:b] = np.hypot(swim.noise_sd, share * signal) + finest
             relative = np.nan_to_num(error / size)
-            if number or share is not None:
+            if again or share is not None:
                 size *= np.sqrt([correlation_samples(one) for one in relative.T])
             # signals that were not measured count nothing
             problem.weights.append(np.nan_to_num(1 / size))
@@ -225,9 +195,9 @@ def _widened(covariance: Array, variance: Array) -> Array:
 
 
 def _errors(
-    swims: Sequence[Swim], models: Sequence[Model], simulator: Simulator, held_out: float
+    swims: Sequence[Swim], models: Sequence[Model], simulator: SwimSimulator, held_out: float
 ) -> tuple[Array, Array]:
-    """Root mean square errors in the fitted and in the held-out part, each (M, 3 + J)."""
+    """Root mean square errors in the held-out and in the fitted part, each (M, 3 + J)."""
     squares = []
     for swim in swims:
         error = simulated(swim, models, simulator) - swim.signals
@@ -235,7 +205,7 @@ def _errors(
         parts = np.split(error**2, [cut], axis=1)
         squares.append([np.nanmean(part, axis=1) for part in parts])
     train, held = np.sqrt(np.mean(squares, axis=0))
-    return train, held
+    return held, train
 
 
 @dataclass(frozen=True)
@@ -246,9 +216,9 @@ class Calibration(NotebookDisplay):
     before: Model  # the model before the calibration
     robot: Robot  # the robot
     swims: tuple[Swim, ...]  # the fitted swims, whose last parts were held out
+    simulator: SwimSimulator  # the twin, or the fluid if there was a fit in the fluid
     twin: Calibrated  # parameters, covariance and errors of the fit in the twin
-    in_fluid: Calibrated | None = None  # likewise for the fit in the fluid, if there was one
-    fluid: FluidSettings = FluidSettings()  # settings of the fluid
+    in_fluid: Calibrated | None = None  # likewise for the fit in the fluid
 
     @property
     def fitted(self) -> Calibrated:
@@ -266,10 +236,8 @@ class Calibration(NotebookDisplay):
         """The signals of that plot."""
         from sim.view.swim_page import swim_panels
 
-        in_twin = self.in_fluid is None
-        simulator = by_twin(self.robot) if in_twin else self.fluid.simulator(self.robot)
         models = self.before, self.fitted.model
-        return swim_panels(self.swims[swim], models, simulator, self.robot)
+        return swim_panels(self.swims[swim], models, self.simulator, self.robot)
 
 
 def calibrate_body(
@@ -279,57 +247,53 @@ def calibrate_body(
     *,
     fit_gains: bool,
     held_out: float,
-    fluid: FluidSettings | None = None,
-    seed: int = 0,
+    fluid: bool,
+    device: str,
+    cell_m: float,
+    rollouts: int,
+    seed: int,
 ) -> Calibration:
-    """Fit the body to swims in the twin and, with settings of the fluid, from there in the fluid.
-
-    ``model`` has the servos, and a body to start from; the rest is as for ``sim.verbs.calibrate``.
-    """
-    free = twin_parameters(model, robot, gains=fit_gains)
-    twin = calibrate(swims, model, free, by_twin(robot), held_out=held_out)
-    twin = _beside(twin, [swim.first(1 - held_out) for swim in swims], model, robot)
-    result = Calibration(_with_errors(twin, robot), model, robot, tuple(swims), twin)
-    if fluid is None:
-        return result
-    pairs = zip(twin.free, twin.best.tolist(), strict=True)
-    start = with_values(model, {p.name: value for p, value in pairs if "latency" in p.name})
-    start = replace(start, body={**model.body, "twin": twin.model.body["twin"]})
-    in_fluid = calibrate_in_fluid(
-        swims, model, robot, fluid.simulator(robot), fluid,
-        coarser=fluid.simulator(robot, coarser=2), gains=fit_gains, held_out=held_out,
-        start=start, seed=seed,
-    )  # fmt: skip
-    calibrated = _with_errors(in_fluid, robot, fluid.cell_m)
-    return replace(result, model=calibrated, in_fluid=in_fluid, fluid=fluid)
-
-
-def _beside(fit: Calibrated, swims: Sequence[Swim], model: Model, robot: Robot) -> Calibrated:
-    """The fit with intervals of servos and areas that allow for what it held and what is hidden.
-
-    Coefficients of the law keep theirs: they are those with which the twin swims, and not true.
-    """
+    """Fit the body to swims in the twin and from there in the fluid, as ``sim.verbs.calibrate``."""
+    free, by = twin_parameters(model, robot, gains=fit_gains), by_twin(robot)
+    twin = calibrate(swims, model, free, by, held_out=held_out)
     # the twin as it is used later: larger sub-steps act as another latency and another damping
     followed = by_followed_twin(robot, substeps=SUBSTEPS)
-    mean, covariance = marginalised(swims, model, robot, fit.free, fit.best, followed)
-    law = np.array([p.name.startswith("twin.") for p in fit.free])
-    mean = np.where(law, fit.best, mean)
-    variance = np.where(law, 0.0, np.diag(covariance))
-    return replace(fit, mean=mean, covariance=_widened(fit.covariance, variance))
+    parts = [swim.first(1 - held_out) for swim in swims]
+    mean, covariance = marginalised(parts, model, robot, free, twin.best, followed)
+    # coefficients of the law keep their intervals: the twin swims with them, and they are not true
+    law = np.array([p.name.startswith("twin.") for p in free])
+    wider = _widened(twin.covariance, np.where(law, 0.0, np.diag(covariance)))
+    twin = replace(twin, centre=np.where(law, twin.best, mean), covariance=wider)
+    result = Calibration(_with_errors(twin, robot), model, robot, tuple(swims), by, twin)
+    if not fluid:
+        return result
+    pairs = zip(free, twin.best.tolist(), strict=True)
+    start = with_values(model, {p.name: value for p, value in pairs if "latency" in p.name})
+    start = replace(start, body={**model.body, "twin": twin.model.body["twin"]})
+    fine, coarser = (
+        by_fluid(robot, cell_m=side_m, device=device, threads=FLUID_THREADS)
+        for side_m in (cell_m, 2 * cell_m)
+    )
+    in_fluid = calibrate_in_fluid(
+        swims, model, robot, fine, cell_m=cell_m, rollouts=rollouts, coarser=coarser,
+        gains=fit_gains, held_out=held_out, start=start, seed=seed,
+    )  # fmt: skip
+    calibrated = _with_errors(in_fluid, robot, cell_m)
+    return replace(result, model=calibrated, simulator=fine, in_fluid=in_fluid)
 
 
 @result_section.register
 def _calibration(calibration: Calibration) -> Section:
     twin = calibration.twin
     blocks = _tables(twin, "the twin", calibration.robot)
-    shift = np.abs(twin.centre - twin.best)
-    off = shift > np.maximum(_OFF * np.sqrt(np.diag(twin.covariance)), _OFF_SHARE * twin.best)
+    shift, sd = np.abs(twin.centre - twin.best), np.sqrt(np.diag(twin.covariance))
+    off = shift > np.maximum(3.0 * sd, 0.05 * twin.best)
     if off.any():
         names = ", ".join(p.name for p, one in zip(twin.free, off, strict=True) if one)
         text = "the fitted values make up for gains that are held or for effects that are missing"
         blocks.append(Note("warn", f"{names}: {text}; diagnose these swims"))
     if calibration.in_fluid is not None:
-        where = f"the fluid, cells of {calibration.fluid.cell_m:g} m"
+        where = f"the fluid, cells of {calibration.model.body['posterior']['cell_m']:g} m"
         blocks += _tables(calibration.in_fluid, where, calibration.robot)
         if calibration.in_fluid.grid is None:
             text = "the intervals do not include the discretisation error: cells of twice the size"
@@ -350,34 +314,35 @@ def calibration_section(calibration: Calibration) -> Section:
 
 def _tables(fit: Calibrated, where: str, robot: Robot) -> list[Block]:
     """Parameters with intervals, and held-out errors before and after, also without known noise."""
-    values = [
+    rows = [
         (p.name, Quantity("value", "", float(best), (float(low), float(high))))
         for p, best, (low, high) in zip(fit.free, fit.best, fit.interval(), strict=True)
     ]
     errors = []
-    rows = zip(units_of(robot).items(), *fit.rmse, fit.noise, strict=True)
-    for (name, unit), before, after, noise in rows:
+    signals = zip(units_of(robot).items(), *fit.rmse, fit.noise, strict=True)
+    for (name, unit), before, after, noise in signals:
         change, of_it = change_text(before, after), ""
         if noise > 0:
             beyond = (float(np.sqrt(max(x**2 - noise**2, 0.0))) for x in (before, after))
             of_it = f"{change_text(*beyond)} beyond {noise:.4f}"
         errors.append((name, f"{before:.4f}", f"{after:.4f}", unit, change, of_it))
     header = ("held-out error", "before", "after", "unit", "change", "of it beyond the noise")
-    heading = Text("", heading=f"In {where}")
-    return [heading, quantity_table(values, "parameter"), Table(header, errors)]
+    parameters = quantity_table(rows, "parameter")
+    return [Text("", heading=f"In {where}"), parameters, Table(header, errors)]
 
 
 def _with_errors(fit: Calibrated, robot: Robot, cell_m: float | None = None) -> Model:
     """The calibrated model with the intervals of its parameters and its errors."""
     if not np.all(np.isfinite(fit.best)):
         raise InputError("calibrate", "fit", "no finite parameters", "recordings that move")
-    figures = np.stack([fit.train[1], fit.rmse[1], fit.rmse[0]], axis=1).tolist()
-    keys = ("train", "heldout", "heldout_before")
-    rows = zip(names_in_files(robot), figures, strict=True)
-    errors = {name: dict(zip(keys, row, strict=True)) for name, row in rows}
-    names = [p.name for p in fit.free]
-    posterior = {"cell_m": cell_m, "names": names, "mean": fit.centre.tolist()}
-    posterior["covariance"] = fit.covariance.tolist()
+    figures = (row.tolist() for row in (fit.train[1], fit.rmse[1], fit.rmse[0]))
+    errors = {
+        name: {"train": train, "heldout": after, "heldout_before": before}
+        for name, train, after, before in zip(names_in_files(robot), *figures, strict=True)
+    }
+    names, covariance = [p.name for p in fit.free], fit.covariance.tolist()
+    of_names = {"names": names, "mean": fit.centre.tolist(), "covariance": covariance}
+    posterior = {"cell_m": cell_m, **of_names}
     interval = dict(zip(names, fit.interval().tolist(), strict=True))
     body = {**fit.model.body, "interval": interval, "posterior": posterior}
     joints = dict(fit.model.joints)

@@ -1,7 +1,5 @@
 """Parameters of swims, and coordinates in which the simulated signals are nearly linear.
 
-Parameters are those of the twin's law, servos, water, effects of the body and the camera.
-
 Coordinates of a tether are its stiffness and stiffness times anchor, of an appendage its area and
 area times place, of a viscoelastic skin a fast and a slow stiffness. A current is added to a
 simulation in still water.
@@ -38,15 +36,27 @@ WATER = ("cells", "viscosity", "eddies", "friction", "box")
 ERROR = "error"
 """Prefix of columns that are shapes of the simulator's error (``signal_error``)."""
 WATER_FORCES = ("linear_drag", "form_drag", "surface_friction", "added_mass", "appendage_drag")
-"""Effects of drag and added mass. They are not negative: negative friction would drive a robot, and
-too much drag of a law is corrected by its own coefficients. Other errors of a law can look like
-them."""
+"""Effects of drag and added mass, which errors of a law can look like. They are not negative: the
+law's own coefficients correct too much drag."""
 QUICK_S, SLOW_S = 0.12, 0.9
 """Relaxation times of the fast and the slow part of a viscoelastic skin."""
 LATENCY, SUBSTEP_S = ".latency_s", CONTROL_S / SUBSTEPS
 _CURRENT = ("pool_current.u_m_s", "pool_current.v_m_s")
 _STIFF, _RELAX = "skin_viscoelasticity.stiffness_Nm_per_rad", "skin_viscoelasticity.relaxation_s"
-
+_PLACES = {
+    "tether.x_m": ("tether.stiffness_N_per_m", 1e-4),
+    "tether.y_m": ("tether.stiffness_N_per_m", 1e-4),
+    "appendage_drag.x_m": ("appendage_drag.area_m2", 1e-5),
+}
+"""Places whose coordinates are size times place: the size, and the least with an influence."""
+_LIMITS = {
+    "tether.stiffness_N_per_m": (0.0, 10.0, 0.05, 0.4),
+    "tether.x_m": (-10.0, 10.0, 0.05, 0.4),
+    "tether.y_m": (-10.0, 10.0, 0.05, 0.4),
+    "appendage_drag.x_m": (0.0, 0.2, 1e-4, 2e-3),
+    _RELAX: (0.0, 10.0, 0.15, 1.2),
+}
+"""Bounds, step and prior standard deviation of coordinates, where not those of the parameter."""
 SERVO = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
 SERVOS = "servos"
 """Component of effects that all servos share, each of a size of its own in every joint."""
@@ -120,15 +130,6 @@ def effect_parameters(effect: str, material: str | None = None) -> list[Paramete
     return out
 
 
-def _of_servos(effect: str, robot: Robot) -> list[Parameter]:
-    """Parameters of a servo's effect in each joint."""
-    return [
-        replace(p, name=f"{joint.name}.{effect}.{p.name}", prior_sd=4 * p.typical)
-        for joint in robot.joints
-        for p in named(effect).parameters
-    ]
-
-
 def water_parameters(robot: Robot, cell_m: float) -> list[Parameter]:
     """Drag, friction and added mass of the body, and the viscosity for cells of a size."""
     out = effect_parameters("form_drag") + effect_parameters("linear_drag")
@@ -143,46 +144,29 @@ def water_parameters(robot: Robot, cell_m: float) -> list[Parameter]:
 
 def candidates(robot: Robot) -> dict[Name, list[Parameter]]:
     """Effects of servos, body and camera that this robot may have."""
-    out = {(name, SERVOS): _of_servos(name, robot) for name in SERVO_EFFECTS}
+    out = {
+        (effect, SERVOS): [
+            replace(p, name=f"{joint.name}.{effect}.{p.name}", prior_sd=4 * p.typical)
+            for joint in robot.joints
+            for p in named(effect).parameters
+        ]
+        for effect in SERVO_EFFECTS
+    }
     effects: tuple[BodyEffect | CameraEffect, ...] = (*BODY, *CAMERA)
-    for effect in effects:
-        if effect.name == AREAS:
-            continue
+    for effect in (effect for effect in effects if effect.name != AREAS):
         component = "camera" if isinstance(effect, CameraEffect) else "body"
         for material in _materials(robot) if effect.by_material else [None]:
-            free = effect_parameters(effect.name, material)
-            out[effect.name, material or component] = free
+            out[effect.name, material or component] = effect_parameters(effect.name, material)
     area, place = out["appendage_drag", "body"]
-    out["appendage_drag", "body"] = [replace(area, high=_largest_area(robot)), place]
+    # twice the largest cross-section: no file leaves out more drag area
+    largest = max(2 * np.pi / 4 * link.width_m * link.height_m for link in robot.links)
+    out["appendage_drag", "body"] = [replace(area, high=largest), place]
     return out
 
 
-def _largest_area(robot: Robot) -> float:
-    """Twice the robot's largest cross-section, m2: more drag area is left out of no file."""
-    return max(2 * np.pi / 4 * link.width_m * link.height_m for link in robot.links)
-
-
 def _materials(robot: Robot) -> list[str]:
+    """Materials of a robot's links, in order."""
     return sorted({link.material or "" for link in robot.links})
-
-
-@dataclass(frozen=True)
-class Placed:
-    """An effect of a size at a place; coordinates are the size, and size times places."""
-
-    size: str  # name of the size
-    places: tuple[str, ...]  # names of the places
-    bound: float  # bound, step and prior standard deviation of the products
-    step: float
-    prior_sd: float
-    least_size: float  # size below which a place has no influence
-
-
-_TETHER = Placed("tether.stiffness_N_per_m", ("tether.x_m", "tether.y_m"), 10.0, 0.05, 0.4, 1e-4)
-_PLACED = (
-    _TETHER,
-    Placed("appendage_drag.area_m2", ("appendage_drag.x_m",), 0.2, 1e-4, 2e-3, 1e-5),
-)
 
 
 @dataclass(frozen=True)
@@ -213,16 +197,20 @@ class Coordinates:
 
     model: Model  # the servos, and the law where the model has one
     columns: tuple[Column, ...]  # F of them
-    # parameters of the effects that may be missing
-    effects: Mapping[Name, Sequence[Parameter]] = field(default_factory=dict)
     # apparent values in reference swims in which nothing is missing, shape (F,): the simulator's
     # error (``learned``), which is added in simulations
     seems: Array | float = 0.0
     place: Mapping[str, int] = field(init=False)  # index of each column by name
+    effects: Mapping[Name, list[int]] = field(init=False)  # columns of each that may be missing
 
     def __post_init__(self) -> None:
         """Index the columns."""
+        effects: dict[Name, list[int]] = {}
+        for k, c in enumerate(self.columns):
+            if c.effect is not None and c.effect[0] != ERROR:
+                effects.setdefault(c.effect, []).append(k)
         object.__setattr__(self, "place", {c.name: k for k, c in enumerate(self.columns)})
+        object.__setattr__(self, "effects", effects)
 
     @classmethod
     def of(cls, robot: Robot, model: Model, free: Sequence[Parameter] = ()) -> Coordinates:
@@ -232,32 +220,21 @@ class Coordinates:
         """
         law = law_parameters(Coefficients.of(model.body), LAW)
         usual = [*servo_parameters(model, robot, gains=True), *law]
-        own = {p.name for p in free}
-        columns = _base([*free, *(p for p in usual if p.name not in own)])
+        given = {p.name for p in free}
+        columns = varied([*free, *(p for p in usual if p.name not in given)])
         waters = model.body.get("water", {})
         columns += [Column(f"water.{n}", None, 0.0, -4.0, 4.0, 0.5) for n in WATER if n in waters]
         known = values(model).keys() if free else set()
-        effects = {
-            effect: some
-            for effect, some in candidates(robot).items()
-            if not known & {p.name for p in some}
-        }
-        for effect, some in effects.items():
-            columns += [Column(p.name, effect, 0.0, *_limits(effect, some, p)) for p in some]
+        for effect, some in candidates(robot).items():
+            for p in some if not known & {p.name for p in some} else ():
+                low = 0.0 if effect[0] in WATER_FORCES else p.low
+                own = low, p.high, 0.5 * p.typical, p.prior_sd
+                columns.append(Column(p.name, effect, 0.0, *_LIMITS.get(p.name, own)))
         columns += [
             Column(name, (ERROR, "camera"), 0.0, -1.0, 1.0, 0.01, 0.0)
-            for name in signal_error.names(len(robot.joints))
+            for name in signal_error.kinds_of(len(robot.joints))
         ]
-        return cls(model, tuple(columns), effects)
-
-    @classmethod
-    def of_parameters(cls, model: Model, free: Sequence[Parameter]) -> Coordinates:
-        """The columns of a calibration, which varies all of them."""
-        return cls(model, tuple(_base(free)))
-
-    def of_effect(self, effect: Name) -> list[int]:
-        """Columns of an effect."""
-        return [self.place[p.name] for p in self.effects[effect]]
+        return cls(model, tuple(columns))
 
     @property
     def base(self) -> list[int]:
@@ -284,19 +261,18 @@ class Coordinates:
     def parameters(self, x: Array) -> dict[str, float]:
         """Parameters by name at a point (F,), without those of effects whose columns are all 0."""
         out = {c.name: float(v) for c, v in zip(self.columns, x, strict=True)}
-        absent = [e for e in self.effects if not any(x[k] for k in self.of_effect(e))]
+        absent = [k for own in self.effects.values() if not x[own].any() for k in own]
         if _STIFF in out and self.effects:
             quick, slow = max(out[_STIFF], 0.0), max(out[_RELAX], 0.0)
             out[_STIFF] = quick + slow
             share = slow / (quick + slow) if quick + slow > 0 else 0.5
             out[_RELAX] = float(QUICK_S ** (1 - share) * SLOW_S**share)
-        for placed in _PLACED:
-            for name in placed.places if placed.size in out and self.effects else ():
-                size = out[placed.size]
-                place = out[name] / size if size > placed.least_size else 0.0
+        for name, (of, least) in _PLACES.items():
+            if name in out and self.effects:
+                place = out[name] / out[of] if out[of] > least else 0.0
                 out[name] = float(np.clip(place, -10.0, 10.0))
-        for p in (p for effect in absent for p in self.effects[effect]):
-            del out[p.name]
+        for k in absent:
+            del out[self.columns[k].name]
         return out
 
     def model_at(self, x: Array) -> Model:
@@ -305,15 +281,15 @@ class Coordinates:
         Sizes of a servo's effects that reference swims have too are in the model.
         """
         parameters, seems = self.parameters(x), np.broadcast_to(self.seems, x.shape)
-        for name in (p.name for e in self.effects if e[1] == SERVOS for p in self.effects[e]):
-            size = parameters.pop(name, 0.0) + float(seems[self.place[name]])
-            parameters |= {name: size} if size > 0 else {}
+        for k in (k for effect, own in self.effects.items() if effect[1] == SERVOS for k in own):
+            size = parameters.pop(self.columns[k].name, 0.0) + float(seems[k])
+            parameters |= {self.columns[k].name: size} if size > 0 else {}
         names = [name for name in parameters if name.startswith(ERROR)]
         error = {name: parameters.pop(name) + float(seems[self.place[name]]) for name in names}
         model = with_values(self.model, parameters)
         body = {name: part for name, part in model.body.items() if name != "seems"}
-        stated = {"seems": {name: v for name, v in error.items() if v}}
-        return replace(model, body=body | (stated if any(error.values()) else {}))
+        stated = {name: v for name, v in error.items() if v}
+        return replace(model, body=body | ({"seems": stated} if stated else {}))
 
     def steps(self, x: Array) -> Array:
         """Steps of one-sided derivatives about a point (F,), within the bounds."""
@@ -329,16 +305,15 @@ class Coordinates:
         points = np.tile(x, (x.size + 1, 1))
         points[np.arange(1, x.size + 1), np.arange(x.size)] += self.steps(x)
         base = np.zeros(x.size, dtype=np.intp)
-        for placed in _PLACED:
-            size = self.place.get(placed.size)
-            if size is not None and x[size] < 10 * placed.least_size:
-                for k in (self.place[name] for name in placed.places):
-                    points[k + 1, size] = points[size + 1, size]
-                    base[k] = size + 1
+        for name, (of, least) in _PLACES.items():
+            if name in self.place and x[self.place[of]] < 10 * least:
+                k, size = self.place[name], self.place[of]
+                points[k + 1, size] = points[size + 1, size]
+                base[k] = size + 1
         return points, base
 
 
-def _base(free: Sequence[Parameter]) -> list[Column]:
+def varied(free: Sequence[Parameter]) -> list[Column]:
     """Columns of what every fit varies; latencies step by a sub-step, where errors have kinks."""
     return [
         Column(
@@ -347,22 +322,6 @@ def _base(free: Sequence[Parameter]) -> list[Column]:
         )
         for p in free
     ]  # fmt: skip
-
-
-def _limits(
-    effect: Name, free: Sequence[Parameter], p: Parameter
-) -> tuple[float, float, float, float]:
-    """Bounds, step and prior standard deviation of the column of an effect's parameter."""
-    if p.name == _RELAX:
-        return 0.0, 10.0, free[0].typical / 2, 4 * free[0].typical
-    for placed in _PLACED:
-        if p.name in placed.places:
-            low = 0.0 if p.low == 0.0 else -placed.bound
-            return low, placed.bound, placed.step, placed.prior_sd
-    low = 0.0 if effect[0] in WATER_FORCES else p.low
-    if p.name == _TETHER.size:
-        return low, p.high, _TETHER.step, _TETHER.prior_sd
-    return low, p.high, 0.5 * p.typical, p.prior_sd
 
 
 def is_shown(name: str) -> bool:

@@ -3,8 +3,7 @@
 As ``sim2real.design.rivals`` for servos, with signals whitened as in the diagnosis
 (``signal_error``). Every coordinate has the variance of its imitation by the twin's error besides
 that of its estimate. Commands are travelling waves (the gaits of a fish: Videler, Fish Swimming,
-Chapman and Hall, 1993) and square waves, in the ranges of the swims on which that error was
-measured (``reports/design/swims.md``).
+Chapman and Hall, 1993) and square waves, as of the swims on which that error was measured.
 """
 
 from __future__ import annotations
@@ -17,9 +16,8 @@ import numpy as np
 from sim.fluid.fluid import POOL_M
 from sim.inference.coordinates import Coordinates, signals_at
 from sim.inference.law_error import NEVER
-from sim.inference.pose_noise import PoseNoise
 from sim.inference.signal_error import Blocks
-from sim.inference.swims import SUBSTEPS, Swim, by_followed_twin
+from sim.inference.swims import SUBSTEPS, PoseNoise, Swim, by_followed_twin
 from sim.twin.twin import Twin
 from sim2real.arrays import Array
 from sim2real.design.limits import CommandLimits, check_seconds, limits_of
@@ -48,38 +46,32 @@ class SwimLimits:
 
 
 def draw(rng: np.random.Generator, count: int, limits: SwimLimits, seconds: float) -> Array:
-    """Random commands of a swim within the limits, shape (N, T, J)."""
+    """Random commands of a swim within the limits, shape (N, T, J), of up to six parts each.
+
+    A part is a wave that travels to the tail about a bias, which turns the robot, or, once in five
+    times, a square wave of some joints together.
+    """
     t, joints = limits.joints[0].times(seconds), len(limits.joints)
-    shapes = np.array([_swim(rng, t, joints) for _ in range(count)])
+    shapes = np.zeros((count, t.size, joints))
+    for shape in shapes:
+        cuts = np.sort(rng.integers(1, t.size, int(rng.integers(0, 6))))
+        for part in np.split(np.arange(t.size), cuts):
+            if part.size < 2:
+                continue
+            since = t[part] - t[part[0]]
+            if rng.random() < 0.2:
+                level, hertz = rng.uniform(0.3, 0.6), rng.uniform(0.4, 0.7)
+                square = level * np.sign(np.sin(2 * np.pi * hertz * since))
+                shape[part] = square[:, None] * (rng.random(joints) < 0.7)
+                continue
+            hertz, size = np.exp(rng.uniform(*np.log([(0.7, 1.4), (0.45, 0.85)]).T))
+            sizes = size * np.linspace(rng.uniform(0.4, 0.5), 1.0, joints)
+            lags = rng.uniform(0.9, 1.3) * np.arange(joints)
+            phase = 2 * np.pi * (hertz * since[:, None] + rng.random()) - lags
+            bias = rng.choice([0.0, 0.38 * rng.uniform(-1.0, 1.0)])
+            ramp = np.clip(since / 0.8, 0.0, 1.0)[:, None]
+            shape[part] = ramp * (sizes * np.sin(phase) + bias)
     return limits.within(limits.rest_rad + limits.reach_rad * shapes)
-
-
-def _swim(rng: np.random.Generator, t: Array, joints: int, *, most: int = 6) -> Array:
-    """Up to ``most`` parts of random lengths, relative to the reach of the joints, (T, J)."""
-    cuts = np.sort(rng.integers(1, t.size, int(rng.integers(0, most))))
-    out = np.zeros((t.size, joints))
-    for part in np.split(np.arange(t.size), cuts):
-        if part.size > 1:
-            gait = _square if rng.random() < 0.2 else _wave
-            out[part] = gait(rng, t[part] - t[part[0]], joints)
-    return out
-
-
-def _wave(rng: np.random.Generator, t: Array, joints: int) -> Array:
-    """A wave that travels to the tail about a random bias, which turns the robot, shape (T, J)."""
-    hertz, size = np.exp(rng.uniform(*np.log([(0.7, 1.4), (0.45, 0.85)]).T))
-    sizes = size * np.linspace(rng.uniform(0.4, 0.5), 1.0, joints)
-    lags = rng.uniform(0.9, 1.3) * np.arange(joints)
-    phase = 2 * np.pi * (hertz * t[:, None] + rng.random()) - lags
-    bias = rng.choice([0.0, 0.38 * rng.uniform(-1.0, 1.0)])
-    ramp = np.clip(t / 0.8, 0.0, 1.0)[:, None]
-    return np.asarray(ramp * (sizes * np.sin(phase) + bias))
-
-
-def _square(rng: np.random.Generator, t: Array, joints: int) -> Array:
-    """A square wave of some joints together, shape (T, J)."""
-    level = rng.uniform(0.3, 0.6) * np.sign(np.sin(2 * np.pi * rng.uniform(0.4, 0.7) * t))
-    return np.asarray(level[:, None] * (rng.random(joints) < 0.7))
 
 
 def design_swim(
@@ -106,9 +98,8 @@ def design_swim(
     if rivals.joint_sd_rad.size != len(robot.joints):
         found = f"a diagnosis of {rivals.joint_sd_rad.size} joints"
         raise InputError(file, "swim_rivals", found, f"the {len(robot.joints)} of {robot.name}")
-    limits = SwimLimits(
-        [replace(limits_of(robot, one.name), period_s=rivals.period_s) for one in robot.joints]
-    )
+    own = (limits_of(robot, joint.name) for joint in robot.joints)
+    limits = SwimLimits([replace(one, period_s=rivals.period_s) for one in own])
     for joint in limits.joints:
         check_seconds(seconds, joint)
     objective = SwimObjective(rivals, model, robot, limits, threads=threads, file=file)
@@ -199,8 +190,8 @@ class SwimObjective(RivalObjective):
         noise_sd, blocks = np.concatenate([np.zeros(3), rivals.joint_sd_rad]), None
         for command, track in zip(commands, self._tracks(commands), strict=True):
             swim = Swim(
-                "next", t, command, track[0, :3], np.zeros(track.shape), noise_sd,
-                pose=track[:, :3], pose_noise=pose_noise,
+                "next", t, command, track[0, :3], np.zeros(track.shape), track[:, :3], noise_sd,
+                pose_noise=pose_noise,
             )  # fmt: skip
             signals = signals_at(self._coordinates, swim, self._points, self._simulate)
             blocks = Blocks.of(swim) if blocks is None else blocks
@@ -213,9 +204,7 @@ class SwimObjective(RivalObjective):
         """Tracks of the likeliest set in the pool, shape (N, T, 3 + J), from standstill."""
         model, N = self._coordinates.model_at(self._points[0]), len(commands)
         twin = Twin(self._robot, model, n_envs=N, substeps=SUBSTEPS, threads=self._threads)
-        twin.reset(pose=np.zeros((N, 3)))
-        first = twin.track()[:, None]
-        return np.concatenate([first, twin.swim(commands[:, :-1], which=np.arange(N))], axis=1)
+        return twin.swum(commands, np.zeros((N, 3)), np.arange(N))
 
     def _expansion(self, file: str) -> tuple[Array, Array]:
         """Points (M + 2 C, F): the sets, then pairs of which C coordinates differ by a step.

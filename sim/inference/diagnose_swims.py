@@ -16,12 +16,11 @@ import numpy as np
 from sim.inference.coordinates import SERVOS, Name, Names, signals_at
 from sim.inference.in_water import resimulated, robot_in_water, water_of
 from sim.inference.law_error import IN_WATER, LAW_ERROR, LawError, learned, read_law_error
-from sim.inference.located import located, residuals, windows_of
-from sim.inference.searched import HELD_OUT, Searched, raw, searched
+from sim.inference.residuals import SHAPES, located, residuals, windows_of
+from sim.inference.searched import HELD_OUT, Searched, searched
 from sim.inference.swim_decision import Decided, Named, Numbers, decide
 from sim.inference.swim_problem import Fit
 from sim.inference.swims import FLUID_THREADS, Swim, SwimSimulator, names_in_files, swim_of
-from sim.inference.unlisted import SHAPES
 from sim.robot.swimmer import CONTROL_S
 from sim2real.arrays import Array
 from sim2real.body import body_effect, material_note
@@ -46,14 +45,6 @@ from sim2real.units import readable, readable_name
 
 Resimulate = Callable[[Model], tuple[SwimSimulator, Model] | None]
 """A function from a fitted model to a simulator corrected with it, ``in_water.resimulated``."""
-_SAMPLES = 400
-_REPEATED = 0.005
-_OUT_OF_PLANE = 3.0
-"""Least misfit of surge or sway at the beat frequency that suggests motion out of the plane."""
-_LARGE = 1.5
-"""Share of the residual, relative to that of an average signal, that shows the mismatch."""
-_IMPROVED = 0.8
-"""Ratio of errors after and before, below which a signal shows the mismatch."""
 
 
 def diagnose_recorded_swims(
@@ -76,10 +67,8 @@ def diagnose_recorded_swims(
         water = water_of(in_water, robot, model, [*swims, *earlier], device)
         law_error = read_law_error(IN_WATER)
         if device != "cpu":
-            again = partial(
-                resimulated, robot, water.of(model), swims, water,
-                device=device, threads=FLUID_THREADS,
-            )  # fmt: skip
+            prepared = partial(resimulated, robot, water.of(model), swims, water)
+            again = partial(prepared, device=device, threads=FLUID_THREADS)
     start, simulate = robot_in_water(robot, model, [in_water] if in_water else [])
     with progress_bar("diagnose") as progress:
         diagnosis = diagnose_swims(
@@ -122,30 +111,29 @@ def diagnose_swims(
     the likely model of the first search to a simulator for a second one and the model that it is
     exact for, or None. Errors of the diagnosis are held-out errors of the speed over ground, m/s.
     """
-    referred = bool(references)
     prior = learned(references, model, robot, simulate, law_error)
-    result = searched(swims, model, robot, simulate, prior, progress)
-    again = resimulate and resimulate(likely_model(result, law_error, referred=referred))
+    given = swims, model, robot
+    referred = bool(references)
+    result = searched(*given, simulate, prior, progress, referred=referred)
+    again = resimulate and resimulate(likely_model(result, law_error))
     if again:
-        result = searched(swims, model, robot, again[0], prior, simulated=again[1])
-    return diagnosis_of(result, robot, law_error, referred=referred)
+        result = searched(*given, again[0], prior, simulated=again[1], referred=referred)
+    return diagnosis_of(result, robot, law_error)
 
 
-def likely_model(result: Searched, law_error: LawError, *, referred: bool) -> Model:
-    """The fitted model with the likely effects; ``referred``: there were reference swims."""
+def likely_model(result: Searched, law_error: LawError) -> Model:
+    """The fitted model with the likely effects."""
     numbers = law_error.decisions
-    named = decide(raw(result, referred=referred), numbers).named
+    named = decide(result.raw, numbers).named
     likely = frozenset(effect.name for effect in named if effect.probability >= numbers["likely"])
-    return result.problem.coordinates.model_at(result.of(likely).fit.x)
+    return result.problem.coordinates.model_at(result.found[likely].fit.x)
 
 
-def diagnosis_of(
-    result: Searched, robot: Robot, law_error: LawError, *, referred: bool
-) -> Diagnosis:
-    """The diagnosis from a search; ``referred``: there were reference swims."""
+def diagnosis_of(result: Searched, robot: Robot, law_error: LawError) -> Diagnosis:
+    """The diagnosis from a search."""
     numbers = law_error.decisions
-    decided = decide(raw(result, referred=referred), numbers)
-    c, plain, chosen = result.problem.coordinates, result.plain, result.of(decided.offered)
+    decided = decide(result.raw, numbers)
+    c, plain, chosen = result.problem.coordinates, result.plain, result.found[decided.offered]
     names, likely = names_in_files(robot), numbers["likely"]
     before, after = (_errors(result, one.members) for one in (plain, chosen))
     baseline, enriched = (
@@ -157,7 +145,9 @@ def diagnosis_of(
     return Diagnosis(
         verdict=decided.verdict,
         mismatch=() if decided.verdict == "consistent" else mismatch,
-        effects=tuple(_named(result, decided, entry, chosen, numbers) for entry in decided.named),
+        effects=tuple(
+            _named(result, decided, entry, chosen, numbers["relative"]) for entry in decided.named
+        ),
         rivals=tuple(Rival(name, of, p) for (name, of), p in decided.rivals[:5]),
         unknown={"body": decided.unlisted},
         baseline_fit=baseline,
@@ -170,7 +160,7 @@ def diagnosis_of(
             if entry.probability >= likely
         )
         or (Experiment("body", (), advice, "none", None, None, advice) if unclear else None),
-        gate=tuple(_remarks(result, decided, likely, referred=referred)),
+        gate=tuple(_remarks(result, decided, likely)),
         swim_rivals=_rival_sets(result, decided.sets, numbers),
     )
 
@@ -178,10 +168,10 @@ def diagnosis_of(
 def _mismatch(
     result: Searched, names: Sequence[str], before: Array, after: Array
 ) -> tuple[tuple[Mismatch, ...], str]:
-    """Signals with a large share of the residual, or that effects improve.
+    """Signals with a large share of the residual, or that effects improve, and what to record.
 
-    The one with the most first, and what to record about that. Shares are of the end of the swims,
-    by the fit to their beginning; the rest is of the fit to all.
+    The signal with the largest share comes first. Shares are of the end of the swims, by the fit to
+    their beginning; the rest is of the fit to all.
     """
     problem, swims = result.problem, result.problem.swims
     noise = np.mean([swim.noise_sd for swim in swims], axis=0)
@@ -189,19 +179,19 @@ def _mismatch(
     ends = [one[round((1 - HELD_OUT) * len(one)) :] for one in residuals(problem, unseen)]
     share = np.sum(np.concatenate(ends) ** 2, axis=0)
     share /= max(float(share.sum()), 1e-30)
-    least = min(_LARGE / share.size, float(share.max()))
+    least = min(1.5 / share.size, float(share.max()))  # 1.5 times that of an average signal
     residual = residuals(problem, result.plain.fit.rows)
     square = np.concatenate(residual) ** 2
     out, told = [], []
     for k in np.argsort(-share).tolist():
-        if share[k] >= least or after[k] < _IMPROVED * before[k]:
+        if share[k] >= least or after[k] < 0.8 * before[k]:
             where, advice = located(swims, square[:, k], k)
             where = f"{100 * share[k]:.0f} % of the residual of all signals, {where}"
             windows_s = windows_of(swims, [one[:, k] for one in residual])
-            component = names[k].partition(".")[0]
+            component, _, signal = names[k].partition(".")
             errors = float(before[k]), float(noise[k])
             out.append(Mismatch(names[k], component, *errors, float(share[k]), windows_s, where))
-            told.append(f"{advice}, for the {readable_name(names[k].partition('.')[2])}.")
+            told.append(f"{advice}, for the {readable_name(signal)}.")
     return tuple(out), told[0]
 
 
@@ -217,11 +207,11 @@ def _errors(result: Searched, members: Names) -> Array:
 
 
 def _named(
-    result: Searched, decided: Decided, entry: Named, chosen: Hypothesis[Fit], numbers: Numbers
+    result: Searched, decided: Decided, entry: Named, chosen: Hypothesis[Fit], relative: float
 ) -> NamedEffect:
     """A reported effect with its estimates, which are those of all reported effects together."""
     effect, component = entry.name
-    parameters = _estimates(result, decided, entry.name, numbers["relative"])
+    parameters = _estimates(result, decided, entry.name, relative)
     sizes = ", ".join(
         f"{readable_name(name)} {readable(name, x.mean)}" for name, x in parameters.items()
     )
@@ -246,30 +236,30 @@ def _named(
 
 
 def _estimates(
-    result: Searched, decided: Decided, name: Name, relative: float
+    result: Searched, decided: Decided, name: Name, relative: float, *, samples: int = 400
 ) -> dict[str, Estimate]:
     """Estimates of an effect's parameters, sampled, with a ``relative`` error of its size."""
     all_names = {named.name for named in decided.named}
-    fitted = next(h for h in result.found if all_names.issubset(h.members))
+    fitted = next(h for h in result.found.values() if all_names.issubset(h.members))
     problem, c, x = result.problem, result.problem.coordinates, fitted.fit.x
-    own = c.of_effect(name)
+    own = c.effects[name]
     covariance = problem.covariance(fitted.members, fitted.fit)[np.ix_(own, own)]
     covariance += np.diag(problem.prior.imitation[own] ** 2 + (relative * x[own]) ** 2)
-    samples = np.tile(x, (_SAMPLES, 1))
-    samples[:, own] = np.random.default_rng(0).multivariate_normal(x[own], covariance, _SAMPLES)
-    samples[0] = x
-    drawn = [c.parameters(sample) for sample in c.clipped(samples)]
+    points = np.tile(x, (samples, 1))
+    points[:, own] = np.random.default_rng(0).multivariate_normal(x[own], covariance, samples)
+    points[0] = x
+    drawn = [c.parameters(point) for point in c.clipped(points)]
     out = {}
-    for p in c.effects[name]:
-        values = np.array([parameters.get(p.name, 0.0) for parameters in drawn])
+    for full in (c.columns[k].name for k in own):
+        values = np.array([parameters.get(full, 0.0) for parameters in drawn])
         ends = np.quantile(values, (0.05, 0.95)).tolist()
-        of_joint = f"{p.name.partition('.')[0]}." if name[1] == SERVOS else ""
-        shown = of_joint + p.name.rpartition(".")[2]
+        of_joint = f"{full.partition('.')[0]}." if name[1] == SERVOS else ""
+        shown = of_joint + full.rpartition(".")[2]
         out[shown] = Estimate(float(values[0]), float(values.std()), *ends)
     return out
 
 
-def _remarks(result: Searched, decided: Decided, likely: float, *, referred: bool) -> Iterator[str]:
+def _remarks(result: Searched, decided: Decided, likely: float) -> Iterator[str]:
     """Sentences on the simulator, the references, what is unlisted, and the camera."""
     water = "water" in result.problem.coordinates.model.body
     corrected = ", corrected by simulations in the fluid" if water else ""
@@ -277,7 +267,7 @@ def _remarks(result: Searched, decided: Decided, likely: float, *, referred: boo
         f"The swims were simulated in the reduced-order twin{corrected}; the error of the twin "
         "counts as noise (reports/pool_diagnosis)."
     )
-    if not referred:
+    if not result.raw["referred"]:
         yield (
             "There are no reference swims in which nothing is missing. Drag, friction and added "
             "mass that this robot always has, and errors of the twin for its shape, cannot be "
@@ -286,64 +276,61 @@ def _remarks(result: Searched, decided: Decided, likely: float, *, referred: boo
     if decided.unlisted >= likely:
         cause = SHAPES[decided.shape.split()[0]]
         yield f"An effect is likely that the catalogue lacks: {cause}."
-    sideways, turn = float(result.misfit[:2, 1].max()), float(result.misfit[2, 1])
-    if decided.unlisted >= likely and sideways > _OUT_OF_PLANE and sideways > 1.5 * turn:
+    surge, sway, turn = (row[1] for row in result.raw["misfit"][:3])
+    sideways = max(surge, sway)
+    if decided.unlisted >= likely and sideways > 3.0 and sideways > 1.5 * turn:
         yield (
             f"The residual is mainly the head's sideways motion at the tail beat ({sideways:.0f} "
             f"times the usual one), more than its turning ({turn:.0f}). A body that rolls or "
             "heaves looks like this to an overhead camera; a planar model cannot follow it."
         )
-    lost = result.problem.repeated
-    if lost > _REPEATED:
+    lost = result.raw["repeated"]
+    if lost > 0.005:
         yield f"{100 * lost:.0f} % of the poses equal the one before: the camera lost frames."
 
 
 def _rival_sets(
-    result: Searched, probability: Mapping[Names, float], numbers: Numbers
+    result: Searched,
+    probability: Mapping[Names, float],
+    numbers: Numbers,
+    *,
+    most: int = 10,
+    least: float = 0.02,
 ) -> SwimRivals:
-    """The sets of effects that may be present, given the swims."""
-    problem = result.problem
-    columns, prior = problem.coordinates.columns, problem.prior
-    noises = [s.pose_noise for s in problem.swims if s.pose_noise is not None]
-    chosen = _representatives(probability)
+    """The sets of effects that may be present, given the swims: the ``most`` probable.
+
+    Also sets below the probability ``least`` that have an effect which no earlier one has.
+    """
+    problem, c, prior = result.problem, result.problem.coordinates, result.problem.prior
+    noises = [swim.pose_noise for swim in problem.swims]
+    ranked = sorted(probability, key=lambda names: -probability[names])
+    chosen = [names for names in ranked if probability[names] > least][:most]
+    for names in ranked:
+        if len(chosen) < most and not frozenset().union(*chosen).issuperset(names):
+            chosen.append(names)
     total = sum(probability[names] for names in chosen)
+
+    def open_set(names: Names) -> SwimSet:
+        """A set with its parameters and their precision."""
+        fit, free = result.found[names].fit, np.flatnonzero(c.in_fit(names))
+        covariance = problem.covariance(names, fit)[np.ix_(free, free)]
+        titles = (
+            effect if component in ("body", "camera", SERVOS) else f"{effect}.{component}"
+            for effect, component in sorted(names)
+        )
+        found = {c.columns[k].name: float(fit.x[k]) for k in free}
+        share = float(probability[names] / total)
+        return SwimSet(tuple(titles), share, found, np.asarray(np.linalg.inv(covariance)))
+
     return SwimRivals(
         component="body",
         period_s=CONTROL_S,
-        pose_sd=np.mean([n.sd for n in noises], axis=0) if noises else np.zeros(3),
-        pose_lag_s=noises[0].lag_s if noises else 0.0,
+        pose_sd=np.mean([noise.sd for noise in noises], axis=0),
+        pose_lag_s=noises[0].lag_s,
         joint_sd_rad=np.mean([swim.noise_sd[3:] for swim in problem.swims], axis=0),
         shares=prior.shares,
-        imitation={c.name: sd for c, sd in zip(columns, prior.imitation.tolist(), strict=True)},
+        imitation={c.name: sd for c, sd in zip(c.columns, prior.imitation.tolist(), strict=True)},
         relative=numbers["relative"],
         temperature=numbers["temperature"],
-        sets=tuple(_set(result, result.of(names), probability[names] / total) for names in chosen),
-    )
-
-
-def _representatives(
-    probability: Mapping[Names, float], *, most: int = 10, least: float = 0.02
-) -> list[Names]:
-    """The most probable sets, then those that have an effect that no earlier one has."""
-    ranked = sorted(probability, key=lambda names: -probability[names])
-    out = [names for names in ranked if probability[names] > least][:most]
-    for names in ranked:
-        if len(out) < most and names not in out and not frozenset().union(*out).issuperset(names):
-            out.append(names)
-    return out
-
-
-def _set(result: Searched, hypothesis: Hypothesis[Fit], probability: float) -> SwimSet:
-    """A set with its parameters and their precision."""
-    c, fit = result.problem.coordinates, hypothesis.fit
-    free = np.flatnonzero(c.in_fit(hypothesis.members))
-    covariance = result.problem.covariance(hypothesis.members, fit)
-    return SwimSet(
-        effects=tuple(
-            effect if component in ("body", "camera", SERVOS) else f"{effect}.{component}"
-            for effect, component in sorted(hypothesis.members)
-        ),
-        probability=float(probability),
-        coordinates={c.columns[k].name: float(fit.x[k]) for k in free},
-        information=np.asarray(np.linalg.inv(covariance[np.ix_(free, free)])),
+        sets=tuple(open_set(names) for names in chosen),
     )

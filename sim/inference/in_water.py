@@ -1,8 +1,9 @@
-"""Simulations of swims in the fluid, which the twin corrects for changes of parameters.
+"""Simulations of swims in the fluid, and what they say of other parameters.
 
-The fluid simulates the recorded commands once, with the identified servos, and the twin predicts
-only differences (a control variate; Peherstorfer, Willcox and Gunzburger, SIAM Rev. 60 (2018) 550).
-It is also simulated with other settings, and the share of each change is fitted.
+For a diagnosis the fluid simulates the recorded commands once, with the identified servos, and the
+twin predicts only differences (a control variate; Peherstorfer, Willcox and Gunzburger, SIAM Rev.
+60 (2018) 550). It is also simulated with other settings, and the share of each change is fitted.
+For a calibration an ``emulator`` is linear in the parameters.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import qmc
 
 from sim.fluid.wall import SLIP
-from sim.inference.coordinates import SERVO_EFFECTS, WATER, Coordinates
+from sim.inference.coordinates import SERVO_EFFECTS, Coordinates
 from sim.inference.law_error import learned
 from sim.inference.swim_problem import SwimProblem
 from sim.inference.swims import (
@@ -28,6 +30,7 @@ from sim.inference.swims import (
     path_of,
     steps_of,
     swum,
+    values_of,
     with_values,
 )
 from sim.robot.swimmer import CONTROL_S, SMAGORINSKY, Swimmer
@@ -35,6 +38,7 @@ from sim.twin.law import Coefficients
 from sim2real.arrays import Array
 from sim2real.body import values
 from sim2real.errors import InputError
+from sim2real.inference.parameters import Parameter, column
 from sim2real.model import JointModel, Model
 from sim2real.output import check_writable, write_whole
 from sim2real.robot import Robot
@@ -43,18 +47,15 @@ from sim2real.velocity import body_velocity
 
 CELL_M = 0.012
 """Side of a cell."""
-BOX_M = (1.25, 0.9, 0.4)
-"""Length, width and depth of a box, which moves with its robot."""
-VISCOSITY_M2_S = 5e-5
-"""Viscosity away from the wall: about the smallest that is stable in the cells of the variants."""
-COARSE = 1.25
-"""Side of a cell in the variants, relative to that of the first simulation."""
-_SETTINGS: tuple[dict[str, Any], ...] = (
-    {}, {"viscosity": 2.5}, {"smagorinsky": 0.75}, {"line": "laminar"}, {"box": 0.85},
-)  # fmt: skip
-VARIANTS: Mapping[str, Mapping[str, Any]] = dict(zip(WATER, _SETTINGS, strict=True))
-"""Variants of the fluid, in larger cells: settings relative to those of the first, and the friction
-line of a laminar boundary layer."""
+VARIANTS: Mapping[str, Mapping[str, Any]] = {
+    "cells": {},
+    "viscosity": {"viscosity": 2.5},
+    "eddies": {"smagorinsky": 0.75},
+    "friction": {"line": "laminar"},
+    "box": {"box": 0.85},
+}
+"""Variants of the fluid (``coordinates.WATER``), in larger cells: settings relative to those of the
+first simulation, and the friction line of a laminar boundary layer."""
 RESIMULATED = (
     "skin_", "linear_drag", "surface_friction", "form_drag", "added_mass", "com_offset",
     "trim_asymmetry", "appendage_",
@@ -95,16 +96,20 @@ def simulate_in_water(
     variants: Mapping[str, Mapping[str, Any]] = VARIANTS,
     threads: int = 1,
 ) -> InWater:
-    """Simulate commands of swims from their first poses in one batch; a model for all or each."""
+    """Simulate commands of swims from their first poses in one batch; a model for all or each.
+
+    The viscosity is about the smallest that is stable in the larger cells of the variants. Each box
+    moves with its robot.
+    """
     longest = max(len(swim.command) for swim in swims)
     padded = [np.pad(s.command, ((0, longest - len(s.command)), (0, 0)), "edge") for s in swims]
     starts = np.array([swim.start for swim in swims])
     waters = []
-    for side, settings in ((1.0, {}), *((COARSE, variant) for variant in variants.values())):
+    for side, settings in ((1.0, {}), *((1.25, variant) for variant in variants.values())):
         swimmer = Swimmer(
             robot, model, n_envs=len(swims), cell_m=side * cell_m, device=device,
-            box_m=tuple(settings.get("box", 1.0) * side_m for side_m in BOX_M),
-            viscosity_m2_s=VISCOSITY_M2_S * settings.get("viscosity", 1.0),
+            box_m=tuple(settings.get("box", 1.0) * side_m for side_m in (1.25, 0.9, 0.4)),
+            viscosity_m2_s=5e-5 * settings.get("viscosity", 1.0),
             smagorinsky=SMAGORINSKY * settings.get("smagorinsky", 1.0), threads=threads,
             wall=replace(SLIP, line=settings.get("line", SLIP.line)),
         )  # fmt: skip
@@ -123,17 +128,16 @@ def with_fluid_effects(model: Model, fitted: Model) -> Model:
     return with_values(replace(model, joints=fitted.joints), effects)
 
 
-def differs(
-    model: Model, fitted: Model, *,
-    relative: float = 0.05, late_s: float = 0.003, friction_Nm: float = 0.01,
-) -> bool:  # fmt: skip
-    """Whether effects, or a servo, of a fitted model differ enough to be simulated in the fluid."""
+def differs(model: Model, fitted: Model) -> bool:
+    """Whether effects, or a servo, of a fitted model differ enough to be simulated in the fluid.
+
+    Gains by more than 5 %, latencies by more than 3 ms, friction by more than 0.01 N m.
+    """
 
     def quantities(servo: JointModel) -> Array:
-        """In units of what is enough."""
-        gains = np.log([servo.kp_Nm_per_rad, servo.kd_Nms_per_rad]) / relative
+        gains = np.log([servo.kp_Nm_per_rad, servo.kd_Nms_per_rad]) / 0.05
         friction = [e.parameters["torque_Nm"] for e in servo.effects if e.effect in SERVO_EFFECTS]
-        return np.append(gains, [servo.latency_s / late_s, sum(friction) / friction_Nm])
+        return np.append(gains, [servo.latency_s / 0.003, sum(friction) / 0.01])
 
     pairs = ((servo, fitted.joints[name]) for name, servo in model.joints.items())
     apart = [np.abs(quantities(other) - quantities(servo)).max() for servo, other in pairs]
@@ -174,10 +178,10 @@ def with_nearest_law(robot: Robot, model: Model, water: InWater, **options: Any)
         (track,) = path_of(_displacements(steps[:1]), np.zeros(3), np.zeros(joints))
         t: Array = CONTROL_S * np.arange(len(command), dtype=np.float64)
         signals = np.concatenate([body_velocity(t, track[:, :3]), track[:, 3:]], axis=1)
-        swims.append(Swim(f"water {number}", t, command, np.zeros(3), signals, pose=track[:, :3]))
+        swims.append(Swim(f"water {number}", t, command, np.zeros(3), signals, track[:, :3]))
     twin = by_followed_twin(robot, **options)
-    prior = learned([], model, robot, twin)
-    problem = SwimProblem(Coordinates.of(robot, model), swims, twin, prior)
+    coordinates, prior = Coordinates.of(robot, model), learned([], model, robot, twin)
+    problem = SwimProblem(coordinates, swims, twin, prior)
     fitted = problem.coordinates.model_at(problem.plain().fit.x)
     return replace(water, law=vars(Coefficients.of(fitted.body)))
 
@@ -196,8 +200,6 @@ def by_twin_in_water(robot: Robot, model: Model, water: InWater, **options: Any)
         unique, place = distinct([replace(m, body={**m.body, "water": None}) for m in models])
         track = twin(unique, swim)[place]
         if key(swim) not in water.steps:
-            if swim.pose is None:
-                return track  # a swim that is only planned
             raise KeyError(f"{swim.name}: no simulation of these commands in the fluid")
         start = key(swim) + swim.start.tobytes()
         if start not in of_twin:
@@ -209,6 +211,63 @@ def by_twin_in_water(robot: Robot, model: Model, water: InWater, **options: Any)
         return path_of(steps, swim.start, track[:, 0, 3:])
 
     return run
+
+
+def emulator(
+    simulator: SwimSimulator,
+    swims: Sequence[Swim],
+    model: Model,
+    free: Sequence[Parameter],
+    *,
+    count: int,
+    seed: int = 0,
+) -> SwimSimulator:
+    """A simulator of these swims that is linear near a model in the parameters that are ``free``.
+
+    The wake is turbulent, and differences of two rollouts would be noise: all are varied at once in
+    ``count`` rollouts (a Sobol sequence: Santner, Williams, Notz, The Design and Analysis of
+    Computer Experiments, Springer 2003), and the displacements in every control period regressed on
+    them, with a penalty of the slopes as large as the weight of one rollout.
+    """
+    if count < len(free) + 2:
+        expected = f"at least {len(free) + 2}, for {len(free)} parameters"
+        raise InputError("emulator", "rollouts", str(count), expected)
+    names = [p.name for p in free]
+    centre, reach = values_of(model, names), 0.75 * column(free, "typical")
+    low = np.maximum(centre - reach, column(free, "low"))
+    high = np.minimum(low + 2 * reach, column(free, "high"))
+    shares = qmc.Sobol(len(free), rng=seed).random_base2((count - 1).bit_length())
+    drawn = np.concatenate([centre[None], low + (high - low) * shares[: count - 1]])
+    models = [with_values(model, dict(zip(names, row, strict=True))) for row in drawn]
+    by_log = np.array([name == "water.viscosity_m2_s" for name in names])
+
+    def linear(rows: Array) -> Array:
+        """Parameters in which a rollout is nearly linear."""
+        return np.where(by_log, np.log(np.where(by_log, rows, 1.0)), rows)
+
+    mean, size = linear(drawn).mean(axis=0), np.maximum(linear(drawn).std(axis=0), 1e-12)
+
+    def terms(rows: Array) -> Array:
+        return np.concatenate([np.ones((len(rows), 1)), (linear(rows) - mean) / size], axis=1)
+
+    penalty = np.diag([0.0, *np.ones(len(free))])
+    regressed = {}
+    for swim in swims:
+        track = simulator(models, swim)
+        finite = np.asarray(np.isfinite(track).all(axis=(1, 2)))
+        if finite.mean() < 0.5:
+            found = f"{np.sum(~finite)} of {finite.size} rollouts stopped"
+            raise InputError(swim.name, "simulator", found, "most of them whole")
+        steps, x = steps_of(track[finite]), terms(drawn[finite])
+        flat = np.linalg.solve(x.T @ x + penalty, x.T @ steps.reshape(len(steps), -1))
+        regressed[swim] = flat.reshape(-1, *steps.shape[1:]), track[finite][0, 0, 3:]
+
+    def simulate(models: Sequence[Model], swim: Swim) -> Array:
+        weights, angles = regressed[swim]
+        rows = np.array([values_of(model, names) for model in models])
+        return path_of(np.tensordot(terms(rows), weights, axes=1), swim.start, angles)
+
+    return simulate
 
 
 def robot_in_water(
@@ -253,16 +312,16 @@ def write_water(path: Path, water: InWater) -> None:
 
 def read_water_swims(*paths: Path) -> InWater:
     """Read files by ``write_water``: all their simulations, with the law of the first."""
-    parts: list[InWater] = []
     steps: dict[bytes, Array] = {}
+    first, expected = None, "a file by --in-water"
     for path in paths:
-        content = read_arrays(path, "a file by --in-water", what="swims in water")
+        content = read_arrays(path, expected, what="swims in water")
         try:
             law = dict(zip(content["law_names"].tolist(), content["law"].tolist(), strict=True))
-            parts.append(InWater(tuple(content["names"].tolist()), steps, law))
+            first = first or InWater(tuple(content["names"].tolist()), steps, law)
             for k in range(sum(name.startswith("key_") for name in content)):
                 steps[content[f"key_{k}"].tobytes()] = content[f"steps_{k}"].astype(np.float64)
         except (ValueError, KeyError, TypeError) as error:
-            expected = "a file by --in-water"
             raise InputError(path, "content", "no swims in water", expected) from error
-    return parts[0]
+    assert first is not None
+    return first

@@ -1,8 +1,7 @@
 """Measured error of the twin, which counts as noise in fits of swims, and the thresholds.
 
-The error of a twin that was calibrated on a robot's swims, on other swims of the same robot in
-which nothing is missing: ``benchmarks/pool_law_error.py``, ``benchmarks/pool_decisions.py``; of one
-robot, from its reference swims.
+It is measured on swims in which nothing is missing, of many robots
+(``benchmarks/pool_law_error.py``, ``pool_decisions.py``), and of one robot from its references.
 """
 
 from __future__ import annotations
@@ -32,12 +31,6 @@ RELATIVE = ("servo.kp_Nm_per_rad", "servo.kd_Nms_per_rad")
 """Kinds of columns whose sizes are relative to their values."""
 NEVER = 1e-3
 """Standard deviation of columns that the error does not imitate, in steps of derivatives."""
-_ERROR_LIMITS = (0.5, 6.0)
-"""Limits of the mean square error of the twin for one robot, relative to the usual one."""
-_SETTLED = 0.5
-"""Change of the log-evidence by new derivatives below which ``marginalised`` ends."""
-_SCALES = (0.7, 0.85, 1.0, 1.2, 1.4, 1.7)
-"""Scales of the variation between swims of a robot that are compared."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +56,8 @@ class LawError:
 
         def sizes(table: Mapping[str, float], others: Array) -> Array:
             """The size of each column; that of a gain is relative to its nominal value."""
-            known = [
-                table.get(c.kind, np.nan) * (abs(c.nominal) if c.kind in RELATIVE else 1.0)
-                for c in columns
-            ]
+            units = [abs(c.nominal) if c.kind in RELATIVE else 1.0 for c in columns]
+            known = [table.get(c.kind, np.nan) * u for c, u in zip(columns, units, strict=True)]
             return np.where(np.isnan(known), others, known)
 
         imitation = sizes(self.imitated, NEVER * coordinates.each("step"))
@@ -102,7 +93,7 @@ def learned(
     problem = SwimProblem(coordinates, references, simulate, usual)
     plain = problem.plain()
     misfit = problem.misfit(plain.members, plain.fit)
-    shares = law_error.shares * np.sqrt(np.clip(misfit, *_ERROR_LIMITS))
+    shares = law_error.shares * np.sqrt(np.clip(misfit, 0.5, 6.0))
     common, _, _ = _common(problem, plain.fit, usual)
     problem = SwimProblem(coordinates, references, simulate, replace(usual, mean=common))
     common, spread, scale = _common(problem, problem.at(problem.centre(frozenset())), usual)
@@ -136,8 +127,8 @@ def _common(problem: SwimProblem, fit: Fit, usual: SwimPrior) -> tuple[Array, Ar
         evidence -= 0.5 * float(np.linalg.slogdet(curvature)[1])
         return evidence, point + posterior @ gradient, posterior
 
-    estimates = {scale: at_scale(scale) for scale in _SCALES}
-    likeliest = max(_SCALES, key=lambda scale: estimates[scale][0])
+    estimates = {scale: at_scale(scale) for scale in (0.7, 0.85, 1.0, 1.2, 1.4, 1.7)}
+    likeliest = max(estimates, key=lambda scale: estimates[scale][0])
     return *estimates[likeliest][1:], likeliest
 
 
@@ -203,24 +194,24 @@ def marginalised(
     return centre[: len(free)], covariance[: len(free), : len(free)]
 
 
-def _converged(problem: SwimProblem, x: Array, rounds: int = 6) -> tuple[Fit, dict[Members, float]]:
+def _converged(problem: SwimProblem, x: Array) -> tuple[Fit, dict[Members, float]]:
     """The fit of the best set from a point (F,), and the evidence of the sets near it."""
     fit = problem.at(x)
     sets = _promising(problem, fit)
-    for _ in range(rounds):
+    for _ in range(6):
         likely = max(sets, key=lambda members: sets[members])
         before, fit = sets[likely], problem.refined(likely, fit, fit).fit
         sets = _promising(problem, fit)
-        if abs(max(sets.values()) - before) < _SETTLED:
+        if abs(max(sets.values()) - before) < 0.5:
             break
     return fit, sets
 
 
-def _promising(problem: SwimProblem, fit: Fit, most: int = 3) -> dict[Members, float]:
+def _promising(problem: SwimProblem, fit: Fit) -> dict[Members, float]:
     """Evidence of sets of effects near a fit: none, and every effect added to the best set."""
     best: Members = frozenset()
     evidence = {best: problem.evidence(best, fit)}
-    for _ in range(most):
+    for _ in range(3):
         larger = {best | {e} for e in problem.coordinates.effects.keys() - best}
         evidence |= {members: problem.evidence(members, fit) for members in larger}
         best = max(sorted(larger, key=sorted), key=lambda members: evidence[members])

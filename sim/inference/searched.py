@@ -6,18 +6,18 @@ fitted, together with servos and force law.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from sim.inference.coordinates import Coordinates, Names, is_shown, signals_of
-from sim.inference.signal_error import SHARE, of_changes
+from sim.inference.coordinates import Coordinates, is_shown, signals_of
+from sim.inference.residuals import gains
+from sim.inference.signal_error import kinds_of
 from sim.inference.swim_problem import COST, LOST, Fit, SwimPrior, SwimProblem
 from sim.inference.swims import Swim, SwimSimulator
-from sim.inference.unlisted import gains
 from sim2real.arrays import Array
 from sim2real.body import listed, values
 from sim2real.inference.selection import Breadth, Hypothesis, Ledger, Members, select
@@ -25,68 +25,10 @@ from sim2real.model import Model
 from sim2real.progress import Progress
 from sim2real.robot import Robot
 
-FIRST = 8
-"""Number of single effects that are refitted, those with the largest predicted evidence."""
-MOST = 2
-"""Largest number of effects of a set, lost frames not counted."""
 HELD_OUT = 0.3
 """Share of each swim, at its end, on which predictions are compared."""
-_CONVERGED = 0.7
-"""Change of the loss by new derivatives below which a fit has converged."""
-_RIVALS, _CLOSE = 4, 10.0
-"""Number of rivals that are fitted to convergence, as the best set is, and their log-evidence."""
-
-_DOUBTFUL = 3.0
-"""Log-evidence above which an error of a strong effect counts as noise."""
-
-
-class SwimSearch(SwimProblem):
-    """Swims of one robot as a problem of ``sim2real.inference.selection``."""
-
-    def look(self, places: Sequence[tuple[Ledger[Fit], Members]]) -> None:
-        """Linearise the fits of these sets, and continue them."""
-        for ledger, members in places:
-            fit = ledger.tried[members].fit
-            if not fit.local:
-                ledger.tried[members] = self.refined(members, fit)
-
-    def additions(
-        self, ledger: Ledger[Fit], members: Members, most: int | None
-    ) -> Sequence[tuple[Hashable, Fit]]:
-        """Effects with the largest predicted evidence when added to a set, by its linear model."""
-        fit, others = ledger.tried[members].fit, self.coordinates.effects.keys() - members
-        promise = {effect: self.evidence(members | {effect}, fit) for effect in others}
-        order = sorted(others, key=lambda effect: (-promise[effect], effect))
-        return [(effect, fit) for effect in order[: most or FIRST]]
-
-    def start(self, ledger: Ledger[Fit], members: Members) -> Fit:
-        """The best fit, with the columns of effects outside ``members`` reset."""
-        fit = ledger.best.fit
-        x = np.where(self.coordinates.in_fit(members), fit.x, self.coordinates.nominal)
-        return replace(fit, x=x, rows=self.rows(x[None])[0])
-
-    def refit(self, jobs: Sequence[tuple[Ledger[Fit], Members, Fit]]) -> list[Hypothesis[Fit]]:
-        """Fit sets, each started from a fit of a subset, with one batch of simulations per step."""
-        best: dict[Members, Fit] = {}
-        pairs = [(members, fit) for _, members, fit in jobs]
-        for (members, _), fit in zip(pairs, self.fitted(pairs), strict=True):
-            if members not in best or fit.loss < best[members].loss:
-                best[members] = fit
-        evidence = {members: self.evidence(members, fit) for members, fit in best.items()}
-        return [Hypothesis(members, best[members], evidence[members]) for members, _ in pairs]
-
-    def remains(self, ledger: Ledger[Fit], members: Members) -> bool:
-        """Whether the best set has effects, so that the search continues."""
-        return bool(ledger.best.members)
-
-    def converged(self, hypothesis: Hypothesis[Fit], rounds: int = 3) -> Hypothesis[Fit]:
-        """The hypothesis, linearised and refitted until its loss no longer changes."""
-        for _ in range(rounds):
-            loss = hypothesis.fit.loss
-            hypothesis = self.refined(hypothesis.members, hypothesis.fit, hypothesis.fit)
-            if abs(loss - hypothesis.fit.loss) < _CONVERGED:
-                break
-        return hypothesis
+_SHARE, _LATE_S = 0.1, 0.01
+"""Relative error, and delay in s, of the change that an effect makes."""
 
 
 class HeldOutErrors(NamedTuple):
@@ -101,20 +43,16 @@ class HeldOutErrors(NamedTuple):
 class Searched:
     """Result of a search, before decisions."""
 
-    problem: SwimSearch  # the swims
+    problem: SwimProblem  # the swims
+    found: dict[Members, Hypothesis[Fit]]  # every set that was tried, best first
     plain: Hypothesis[Fit]  # the fit without effects
-    found: list[Hypothesis[Fit]]  # every set that was tried, best first
     best: Hypothesis[Fit]  # the best set with an effect, likely or not
-    # evidence that unnamed shapes add to the plain fit and to the best
-    nameless: dict[str, dict[str, float]]
     held: dict[Members, HeldOutErrors]  # held-out errors of each subset of the best that was tried
-    # mean square of the best fit's weighted errors by signal and band, less the estimated error of
-    # the twin, shape (4, 3)
-    misfit: Array
-
-    def of(self, names: Names) -> Hypothesis[Fit]:
-        """The set of these effects."""
-        return next(h for h in self.found if h.members == names)
+    # the input of ``swim_decision.decide``, from which thresholds are fitted, in types of JSON: the
+    # evidence of each set, that of unnamed shapes beside the plain fit and the best, held-out
+    # errors, and the mean square of the best fit's weighted errors by signal and band, less the
+    # estimated error of the twin (4, 3)
+    raw: dict[str, Any]
 
 
 def searched(
@@ -125,48 +63,82 @@ def searched(
     prior: SwimPrior,
     progress: Progress = lambda share: None,
     simulated: Model | None = None,
+    *,
+    referred: bool = False,
 ) -> Searched:
     """Try sets of effects on swims of one robot, with a prior from ``learned``.
 
     The twin predicts a strong effect with an error in proportion to its change; a second search
     counts it as noise, except for effects of ``simulated``, the model that the fluid simulated.
+    ``referred``: the prior has reference swims.
     """
-    problem = SwimSearch(Coordinates.of(robot, model), swims, simulate, prior)
+    problem = SwimProblem(Coordinates.of(robot, model), swims, simulate, prior)
     found = _search(problem, lambda share: progress(0.5 * share))
     if "water" in model.body:
         best = next(h for h in found if h.members)
         changes = changed(problem, best.fit.x, simulated)
         parts = zip(changes, problem.blocks, problem.weights, strict=True)
         size = sum(float(np.sum(b.about(change) * w**2)) for change, b, w in parts)
-        if 0.5 * SHARE**2 * size > _DOUBTFUL:
+        if 0.5 * _SHARE**2 * size > 3.0:  # log-evidence from which such an error counts as noise
             wider = doubtful(problem, changes)
-            problem = SwimSearch(Coordinates.of(robot, model), swims, simulate, wider)
+            problem = SwimProblem(Coordinates.of(robot, model), swims, simulate, wider)
             found = _search(problem, lambda share: progress(0.5 + 0.4 * share))
     tried = {hypothesis.members: hypothesis for hypothesis in found}
     plain, best = tried[frozenset()], next(h for h in found if h.members)
-    both = {"plain": plain, "best": best}
-    nameless = {name: gains(problem, h.members, h.fit) for name, h in both.items()}
     held = {s: _held_out(problem, tried[s]) for s in _subsets(best.members) if s in tried}
-    misfit = problem.misfit(best.members, best.fit)
+    sets = [
+        {"names": sorted(map(list, h.members)), "settled": h.fit.local,
+         "evidence": h.evidence + COST * len(h.members) - plain.evidence}
+        for h in found
+    ]  # fmt: skip
+    raw = {
+        "sets": sets,
+        "nameless": {
+            name: gains(problem, h.members, h.fit) for name, h in (("plain", plain), ("best", best))
+        },
+        "held": [
+            {"names": sorted(map(list, members)), "loss": errors.loss, "speed": errors.speed}
+            for members, errors in held.items()
+        ],
+        "misfit": problem.misfit(best.members, best.fit).tolist(),
+        "referred": referred,
+        "repeated": problem.repeated,
+    }
     progress(1.0)
-    return Searched(problem, plain, found, best, nameless, held, misfit)
+    return Searched(problem, tried, plain, best, held, raw)
 
 
-def _search(problem: SwimSearch, progress: Progress) -> list[Hypothesis[Fit]]:
-    """Every set that was tried, the largest evidence first."""
+def _search(
+    problem: SwimProblem,
+    progress: Progress,
+    *,
+    most: int = 2,
+    rivals: int = 4,
+    close: float = 10.0,
+    settled: float = 0.7,
+) -> list[Hypothesis[Fit]]:
+    """Every set that was tried, of at most ``most`` effects besides lost frames, best first.
+
+    The best set, its subsets and at most ``rivals``, ``close`` to it in log-evidence, are refitted
+    until new derivatives change their loss by less than ``settled``.
+    """
     ledger: Ledger[Fit] = Ledger(0)
     ledger.keep(problem.plain())
     progress(0.1)
     lost = LOST in problem.coordinates.effects and problem.counted(frozenset({LOST})) > 0
-    breadth = Breadth(most=MOST + lost, added=5, rivals=3, within=np.inf)
+    breadth = Breadth(most=most + lost, added=5, rivals=3, within=np.inf)
     select(problem, [ledger], breadth, lambda share: progress(0.1 + 0.5 * share))
     for subset in _subsets(ledger.best.members)[1:-1]:  # another start, another minimum
         for hypothesis in problem.refit([(ledger, subset, problem.start(ledger, subset))]):
             ledger.keep(hypothesis)
     first, *others = sorted((h for h in ledger.tried.values() if h.members), key=_evidence)
-    close = [h.members for h in others[:_RIVALS] if h.evidence > first.evidence - _CLOSE]
-    for members in {*close, *_subsets(first.members)[1:]} & ledger.tried.keys():
-        ledger.tried[members] = problem.converged(ledger.tried[members])
+    near = [h.members for h in others[:rivals] if h.evidence > first.evidence - close]
+    for members in {*near, *_subsets(first.members)[1:]} & ledger.tried.keys():
+        for _ in range(3):
+            fit = ledger.tried[members].fit
+            ledger.tried[members] = problem.refined(members, fit, fit)
+            if abs(fit.loss - ledger.tried[members].fit.loss) < settled:
+                break
     progress(1.0)
     return sorted(ledger.tried.values(), key=_evidence)
 
@@ -201,10 +173,14 @@ def doubtful(problem: SwimProblem, changes: Sequence[Array]) -> SwimPrior:
         np.sqrt(np.nanmean(np.concatenate(x) ** 2, axis=0)) for x in (changes, recorded)
     )
     ratio = np.nan_to_num(size / of_signal)
-    sd = of_changes(size.size - 3, ratio)
+    sd = {
+        name: (_LATE_S if kind == "late" else _SHARE) * float(ratio[k])
+        for name, (k, kind) in kinds_of(size.size - 3).items()
+        if not kind.startswith("off")
+    }
     more = np.array([sd.get(column.name, 0.0) for column in problem.coordinates.columns])
     covariance = prior.covariance + np.diag(more**2)
-    shares = np.hypot(prior.shares, SHARE * np.append(ratio[:3], ratio[3:].mean())[:, None])
+    shares = np.hypot(prior.shares, _SHARE * np.append(ratio[:3], ratio[3:].mean())[:, None])
     return SwimPrior(prior.mean, covariance, np.hypot(prior.imitation, more), shares)
 
 
@@ -213,35 +189,8 @@ def _held_out(problem: SwimProblem, hypothesis: Hypothesis[Fit]) -> HeldOutError
     fit, left_out = problem.held(hypothesis.members, hypothesis.fit, HELD_OUT)
     rows = np.where(left_out, problem.rows(fit.x[None])[0], 0.0)
     square, count = 0.0, 0
-    of_swims = (
-        problem.of_swims(rows),
-        problem.of_swims(left_out.astype(np.float64)),
-        problem.weights,
-    )
-    for error, left, weight in zip(*of_swims, strict=True):
+    parts = problem.of_swims(rows), problem.of_swims(left_out.astype(np.float64)), problem.weights
+    for error, left, weight in zip(*parts, strict=True):
         square += float(np.sum((error[:, :2] / weight[:, :2]) ** 2))
         count += int(left[:, 0].sum())
     return HeldOutErrors(fit, 0.5 * float(rows @ rows), float(np.sqrt(square / max(count, 1))))
-
-
-def raw(found: Searched, *, referred: bool) -> dict[str, Any]:
-    """The input of ``swim_decision.decide``, in types of JSON, from which thresholds are fitted."""
-
-    def listed_names(members: Members) -> list[list[str]]:
-        return [list(name) for name in sorted(members)]
-
-    return {
-        "sets": [
-            {"names": listed_names(h.members), "settled": h.fit.local,
-             "evidence": h.evidence + COST * len(h.members) - found.plain.evidence}
-            for h in found.found
-        ],
-        "nameless": found.nameless,
-        "held": [
-            {"names": listed_names(members), "loss": errors.loss, "speed": errors.speed}
-            for members, errors in found.held.items()
-        ],
-        "misfit": found.misfit.tolist(),
-        "referred": referred,
-        "repeated": found.problem.repeated,
-    }  # fmt: skip

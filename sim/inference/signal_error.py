@@ -16,7 +16,6 @@ from numpy.polynomial.legendre import legvander
 from scipy.fft import dct
 from scipy.ndimage import uniform_filter1d
 
-from sim.inference.pose_noise import PoseNoise
 from sim.inference.swims import Swim, block_bounds
 from sim.robot.swimmer import CONTROL_S
 from sim2real.arrays import Array, Index
@@ -26,18 +25,10 @@ ROWS, BANDS = ("surge", "sway", "yaw rate", "joints"), ("slow", "beat", "fast")
 """Signals and frequency bands of the error."""
 BANDS_HZ = (0.35, 1.8)
 """Limits between the bands slow, beat and fast."""
-_LEAK = 0.003
-"""Share of a block's mean power that is added at every frequency (spectral leakage)."""
-_DRAWS = 12
-_STEP_RAD = 0.0012
-"""Least noise of a joint's angle, due to rounding."""
-
-ORDER = 3
-"""Largest order of the polynomials in time of the error of the speed."""
 SLOW = 51
 """Samples of the moving average that separates a signal's mean from its oscillation."""
-SHARE, LATE_S = 0.1, 0.01
-"""Relative error, and delay in s, of the change that an effect makes."""
+_STEP_RAD = 0.0012
+"""Least noise of a joint's angle, due to rounding."""
 
 
 def spectrum(signals: Array, edges: Sequence[tuple[int, int]]) -> Array:
@@ -47,11 +38,12 @@ def spectrum(signals: Array, edges: Sequence[tuple[int, int]]) -> Array:
 
 
 def _local_power(coefficients: Array, edges: Sequence[tuple[int, int]]) -> Array:
+    """Power around each coefficient, and a share of the block's mean, which leaks everywhere."""
     squares = coefficients**2
     power = np.empty_like(squares)
     for a, b in edges:
         smooth = uniform_filter1d(squares[a:b], 5, axis=0, mode="nearest")
-        power[a:b] = smooth + _LEAK * squares[a:b].mean(axis=0)
+        power[a:b] = smooth + 0.003 * squares[a:b].mean(axis=0)
     return power
 
 
@@ -68,30 +60,21 @@ class Blocks:
 
     @classmethod
     def of(cls, swim: Swim) -> Blocks:
-        """The blocks of a recording."""
+        """The blocks of a recording; the noise of its velocities is that of drawn samples."""
         period = float(swim.t[1] - swim.t[0])
         edges = tuple(block_bounds(swim.t.size, period))
         sizes = [b - a for a, b in edges]
         hertz = np.concatenate([np.arange(n) / (2 * n * period) for n in sizes])
         transformed = spectrum(np.nan_to_num(swim.signals), edges)
-        pose_noise = swim.pose_noise or PoseNoise(np.zeros(3))
-        samples = pose_noise.drawn(np.random.default_rng(0), (_DRAWS, swim.t.size), period)
+        samples = swim.pose_noise.drawn(np.random.default_rng(0), (12, swim.t.size), period)
         noise_power = (spectrum(body_velocity(swim.t, samples), edges) ** 2).mean(axis=0)
         noise = np.empty_like(transformed)
         for a, b in edges:
             noise[a:b, :3] = uniform_filter1d(noise_power[a:b], 9, axis=0, mode="nearest")
-        if swim.pose_noise is None:
-            noise[:, :3] = swim.noise_sd[:3] ** 2
         noise[:, 3:] = swim.noise_sd[3:] ** 2 + _STEP_RAD**2
         noise[:, np.isnan(swim.signals).all(axis=0)] = np.inf  # not measured
-        return cls(
-            edges,
-            np.repeat(np.arange(len(edges)), sizes),
-            np.searchsorted(BANDS_HZ, hertz),
-            noise,
-            _local_power(transformed, edges),
-            transformed,
-        )
+        block, band = np.repeat(np.arange(len(edges)), sizes), np.searchsorted(BANDS_HZ, hertz)
+        return cls(edges, block, band, noise, _local_power(transformed, edges), transformed)
 
     def weights(self, shares: Array) -> Array:
         """Reciprocal sd (T, K), with the twin's error by signal (joints last) and band (4, 3)."""
@@ -117,21 +100,16 @@ class Blocks:
         return np.asarray((spectrum(signals, self.edges) * weights).reshape(len(signals), -1).T)
 
 
-def _listed(joints: int) -> list[tuple[str, int, str]]:
-    """Name of each shape, number of its signal, and kind of shape."""
+def kinds_of(joints: int) -> dict[str, tuple[int, str]]:
+    """Of each shape of a robot's error, by name, the number of its signal and its kind."""
     kinds: dict[str, tuple[str, ...]] = {
-        "surge_": (*map(str, range(ORDER + 1)), "swing", "late"),
+        "surge_": ("0", "1", "2", "3", "swing", "late"),
         "sway_": ("swing", "late", "off"),
         "yaw_": ("swing", "late", "slow", "off", "off_1"),
     }
     kinds |= {f"joint{j}.": ("swing", "late", "off") for j in range(joints)}
     places = enumerate(kinds.items())
-    return [(f"error.{of}{kind}", k, kind) for k, (of, some) in places for kind in some]
-
-
-def names(joints: int) -> tuple[str, ...]:
-    """Names of all shapes of a robot's error."""
-    return tuple(name for name, _, _ in _listed(joints))
+    return {f"error.{of}{kind}": (k, kind) for k, (of, some) in places for kind in some}
 
 
 def shapes(signals: Array) -> dict[str, Array]:
@@ -143,21 +121,12 @@ def shapes(signals: Array) -> dict[str, Array]:
     T, K = signals.shape
     slow = uniform_filter1d(signals, SLOW, axis=0, mode="nearest")
     swing = signals - slow
-    polynomials = legvander(np.linspace(-1.0, 1.0, T), ORDER).T[:, :, None]
+    polynomials = legvander(np.linspace(-1.0, 1.0, T), 3).T[:, :, None]
     of_kind = {"swing": swing, "late": -np.gradient(swing, CONTROL_S, axis=0), "slow": slow}
     of_kind |= {"off": polynomials[0], "off_1": polynomials[1]}
     of_kind |= {str(n): wave * slow for n, wave in enumerate(polynomials)}
     out = {}
-    for name, k, kind in _listed(K - 3):
+    for name, (k, kind) in kinds_of(K - 3).items():
         out[name] = np.zeros((T, K))
         out[name][:, k] = np.broadcast_to(of_kind[kind], (T, K))[:, k]
     return out
-
-
-def of_changes(joints: int, ratio: Array) -> dict[str, float]:
-    """Sd of the shapes by name, for changes of size ``ratio`` (3 + J,) relative to the signals."""
-    return {
-        name: (LATE_S if kind == "late" else SHARE) * float(ratio[k])
-        for name, k, kind in _listed(joints)
-        if not kind.startswith("off")
-    }

@@ -1,6 +1,6 @@
 """Decisions from a search in swims: reported effects, groups, probabilities and the verdict.
 
-Pure functions of ``searched.raw``: ``benchmarks/pool_decisions.py`` fits thresholds to many.
+Pure functions of ``Searched.raw``: ``benchmarks/pool_decisions.py`` fits thresholds to many.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.special import softmax
 
 from sim.inference.coordinates import SERVOS, WATER_FORCES, Name, Names
 from sim.inference.signal_error import BANDS, ROWS
@@ -47,15 +48,13 @@ class Decided:
 
 
 class _Sets:
-    """The sets of a search, from the output of ``searched.raw``."""
+    """The sets of a search."""
 
     def __init__(self, raw: Mapping[str, Any], numbers: Numbers) -> None:
         self.numbers, cost = numbers, numbers["cost"]
         # evidence of each set, less the cost of its effects
         self.evidence = {_names(e): e["evidence"] - cost * len(e["names"]) for e in raw["sets"]}
-        log_weights = np.array(list(self.evidence.values())) / numbers["temperature"]
-        weights = np.exp(log_weights - log_weights.max())
-        shares = (weights / weights.sum()).tolist()
+        shares = softmax(np.array(list(self.evidence.values())) / numbers["temperature"]).tolist()
         self.probability = dict(zip(self.evidence, shares, strict=True))
         # loss, and error of the speed, on the end of the swims, of the best's subsets
         self.held_out = {_names(e): (e["loss"], e["speed"]) for e in raw["held"]}
@@ -70,9 +69,8 @@ class _Sets:
 
     def held_out_gain(self, members: Names, rest: Names) -> float:
         """Increase of the held-out log-likelihood by one set relative to another."""
-        if members not in self.held_out or rest not in self.held_out:
-            return 0.0
-        return float(self.held_out[rest][0] - self.held_out[members][0])
+        known = members in self.held_out and rest in self.held_out
+        return float(self.held_out[rest][0] - self.held_out[members][0]) if known else 0.0
 
     def gain(self, name: Name) -> float:
         """Evidence that an effect adds to the others of the best set."""
@@ -109,10 +107,9 @@ class _Sets:
 
         Effects of servos show in the joints' angles, and need not change the speed.
         """
-        members, numbers = frozenset(likely), self.numbers
+        members, numbers, smaller = frozenset(likely), self.numbers, []
         if members not in self.held_out:
             return frozenset()
-        smaller = []
         for name in members:
             rest = members - {name}
             if rest in self.held_out:
@@ -128,7 +125,7 @@ class _Sets:
 
 
 def decide(raw: Mapping[str, Any], numbers: Numbers) -> Decided:
-    """Decide which effects are reported, and the verdict, from the output of ``searched.raw``."""
+    """Decide which effects are reported, and the verdict, from ``Searched.raw``."""
     sets = _Sets(raw, numbers)
     terms, shape, shape_gain = _terms(raw, sets)
     unlisted, likely = _logistic(terms, "unlisted", numbers), numbers["likely"]
@@ -179,11 +176,8 @@ def _terms(raw: Mapping[str, Any], sets: _Sets) -> tuple[Terms, str, float]:
     """Terms of the log odds of an effect, listed or not; the shape with most evidence, and that."""
     numbers, lead = sets.numbers, sets.evidence[sets.best] - sets.evidence[frozenset()]
     plain, best = (
-        {
-            name: gain - numbers[f"usual {name.split()[0]}"]
-            for name, gain in raw["nameless"][f].items()
-        }
-        for f in ("plain", "best")
+        {name: x - numbers[f"usual {name.split()[0]}"] for name, x in raw["nameless"][fit].items()}
+        for fit in ("plain", "best")
     )
     shape = max(best, key=lambda name: best[name])
     usual = [[numbers[f"usual misfit {row} {band}"] for band in BANDS] for row in ROWS]

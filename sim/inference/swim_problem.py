@@ -8,7 +8,7 @@ Learning Algorithms (2003), ch. 28).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 
@@ -19,20 +19,18 @@ from sim.inference.signal_error import Blocks
 from sim.inference.swims import Swim, SwimSimulator
 from sim2real.arrays import Array, Index, Mask
 from sim2real.inference.least_squares import Expansion, minimise
-from sim2real.inference.selection import Hypothesis, Members
+from sim2real.inference.selection import Hypothesis, Ledger, Members
 
 LOST, FILTER = ("dropped_frames", "camera"), "pose_filter.time_constant_s"
 COST = 3.422
 """Log-evidence that an effect must gain in the search; probabilities are computed later."""
-_STEPS = 6
-"""Evaluations of a fit with the same derivatives."""
+FIRST = 8
+"""Number of single effects that are refitted, those with the largest predicted evidence."""
 _AT_MOST = 3.0
 """Largest imitation of an absent effect by the twin's error, in standard deviations: larger values
 are not due to the error, and the linear model does not hold there."""
 _SHIFTS = (-2.0, -1.0, 1.0)
 """Sub-steps by which latencies are moved: a fit has minima a sub-step of the twin apart."""
-_EACH, _LARGEST = 3.0, 600.0
-"""Log-evidence of one repeated pose for lost frames, and its largest sum."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,7 @@ class Fit:
 
 @dataclass
 class SwimProblem:
-    """Swims of one robot as a problem of fits."""
+    """Swims of one robot as a problem of fits, and of ``sim2real.inference.selection``."""
 
     coordinates: Coordinates  # coordinates of the robot
     swims: Sequence[Swim]  # its recordings
@@ -133,11 +131,11 @@ class SwimProblem:
         """Precision of the prior of all columns, shape (F, F)."""
         if members not in self._precisions:
             c, covariance = self.coordinates, self.prior.covariance.copy()
-            for k in (k for effect in members for k in c.of_effect(effect)):
+            for k in (k for effect in members for k in c.effects[effect]):
                 covariance[k, k] += c.columns[k].prior_sd ** 2
             if LOST in members:
                 n, share = sum(swim.t.size for swim in self.swims), self.repeated
-                (k,) = c.of_effect(LOST)
+                (k,) = c.effects[LOST]
                 covariance[k, k] = (share * (1 - share) + 1 / n) / n
             self._precisions[members] = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
         return self._precisions[members]
@@ -148,7 +146,7 @@ class SwimProblem:
         x = c.nominal
         x[c.base] = self.prior.mean[c.base]
         if LOST in members:
-            x[c.of_effect(LOST)] = self.repeated
+            x[c.effects[LOST]] = self.repeated
         return x
 
     def counted(self, members: Members) -> float:
@@ -156,15 +154,7 @@ class SwimProblem:
         if LOST not in members:
             return 0.0
         count = self.repeated * sum(swim.t.size for swim in self.swims)
-        return min(_EACH * count, _LARGEST) if count > 1 else -_LARGEST
-
-    def _coloured(self, x: Array) -> float:
-        """Log-evidence of the spectrum of the poses' noise for a filter."""
-        lag_s = (
-            float(x[self.coordinates.place[FILTER]]) if FILTER in self.coordinates.place else 0.0
-        )
-        noises = [swim.pose_noise for swim in self.swims if swim.pose_noise is not None]
-        return sum(noise.log_ratio(lag_s) for noise in noises) if lag_s > 0 else 0.0
+        return min(3.0 * count, 600.0) if count > 1 else -600.0
 
     def _expanded(self, members: Members, fit: Fit) -> tuple[float, Array, Array]:
         """Loss at the point of a fit, its gradient (F,) and curvature (F, F) in all columns."""
@@ -186,14 +176,20 @@ class SwimProblem:
     def evidence(self, members: Members, fit: Fit) -> float:
         """Logarithm of the marginal likelihood, less ``COST`` for each effect, up to a constant.
 
-        It is that of the linear model about a fit, which may be one of fewer effects.
+        It is that of the linear model about a fit, which may be one of fewer effects; the spectrum
+        of the poses' noise adds evidence for a filter.
         """
         loss, gradient, curvature = self._expanded(members, fit)
         step = self.seems(members, fit)
         loss += float(gradient @ step) + 0.5 * float(step @ curvature @ step)
         volume = np.linalg.slogdet(curvature)[1] - np.linalg.slogdet(self.precision(members))[1]
         end = np.where(self.coordinates.in_fit(members), fit.x + step, 0.0)
-        direct = self.counted(members) + self._coloured(end) - COST * len(members)
+        place = self.coordinates.place.get(FILTER)
+        lag_s = 0.0 if place is None else float(end[place])
+        direct = self.counted(members)
+        if lag_s > 0:
+            direct += sum(swim.pose_noise.log_ratio(lag_s) for swim in self.swims)
+        direct -= COST * len(members)
         return direct - loss - 0.5 * float(volume)
 
     def seems(self, members: Members, fit: Fit) -> Array:
@@ -281,9 +277,45 @@ class SwimProblem:
         start = np.array([fit.x for _, fit in initial]) / unit
         low, high = (np.tile(c.each(end) / unit, (len(initial), 1)) for end in ("low", "high"))
         free = np.array([c.in_fit(members) for members, _ in initial])
-        found = minimise(expand, start, low, high, free=free, evaluations=_STEPS)
+        found = minimise(expand, start, low, high, free=free, evaluations=6)
         rows, loss = found.expansion.aside["rows"], found.expansion.loss
         return [
             replace(fit, x=c.clipped(x * unit), rows=rows[k], loss=float(loss[k]), local=False)
             for k, ((_, fit), x) in enumerate(zip(initial, found.x, strict=True))
         ]
+
+    def look(self, places: Sequence[tuple[Ledger[Fit], Members]]) -> None:
+        """Linearise the fits of these sets, and continue them."""
+        for ledger, members in places:
+            fit = ledger.tried[members].fit
+            if not fit.local:
+                ledger.tried[members] = self.refined(members, fit)
+
+    def additions(
+        self, ledger: Ledger[Fit], members: Members, most: int | None
+    ) -> Sequence[tuple[Hashable, Fit]]:
+        """Effects with the largest predicted evidence when added to a set, by its linear model."""
+        fit, others = ledger.tried[members].fit, self.coordinates.effects.keys() - members
+        promise = {effect: self.evidence(members | {effect}, fit) for effect in others}
+        order = sorted(others, key=lambda effect: (-promise[effect], effect))
+        return [(effect, fit) for effect in order[: most or FIRST]]
+
+    def start(self, ledger: Ledger[Fit], members: Members) -> Fit:
+        """The best fit, with the columns of effects outside ``members`` reset."""
+        fit = ledger.best.fit
+        x = np.where(self.coordinates.in_fit(members), fit.x, self.coordinates.nominal)
+        return replace(fit, x=x, rows=self.rows(x[None])[0])
+
+    def refit(self, jobs: Sequence[tuple[Ledger[Fit], Members, Fit]]) -> list[Hypothesis[Fit]]:
+        """Fit sets, each started from a fit of a subset, with one batch of simulations per step."""
+        best: dict[Members, Fit] = {}
+        sets = [members for _, members, _ in jobs]
+        for members, fit in zip(sets, self.fitted([job[1:] for job in jobs]), strict=True):
+            if members not in best or fit.loss < best[members].loss:
+                best[members] = fit
+        found = {m: Hypothesis(m, fit, self.evidence(m, fit)) for m, fit in best.items()}
+        return [found[members] for members in sets]
+
+    def remains(self, ledger: Ledger[Fit], members: Members) -> bool:
+        """Whether the best set has effects, so that the search continues."""
+        return bool(ledger.best.members)

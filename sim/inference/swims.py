@@ -1,4 +1,8 @@
-"""Pool recordings prepared for a fit, and their simulation in the twin and in the fluid."""
+"""Pool recordings prepared for a fit, the noise of their poses, and simulations of them.
+
+At 9 Hz and above poses hold only noise. White noise is equal at all frequencies; a filter's time
+constant is estimated from them (Whittle's likelihood: J. R. Stat. Soc. B 15 (1953) 125).
+"""
 
 from __future__ import annotations
 
@@ -9,10 +13,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import savgol_filter
+from scipy.signal import lfilter, savgol_filter
 from tqdm import tqdm
 
-from sim.inference.pose_noise import PoseNoise, pose_noise
 from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim.twin.kernel import start_twin
 from sim.twin.law import Coefficients
@@ -20,7 +23,7 @@ from sim.twin.twin import Twin
 from sim2real.arrays import Array, Index
 from sim2real.body import listed, observed, values
 from sim2real.errors import InputError
-from sim2real.model import FittedEffect, JointModel, Model
+from sim2real.model import FittedEffect, Model
 from sim2real.plausible import validate_recording
 from sim2real.recording import Recording
 from sim2real.robot import Robot
@@ -37,14 +40,68 @@ SUBSTEPS = 4
 less than its error."""
 SHORTEST_S = 1.0
 """Shortest swim that is fitted: a quarter is held out, and velocities take a fifth of a second."""
-BLOCK_S = 2.5
 FLUID_THREADS = 2
 """CPU threads of the fluid."""
+LAGS_S: Array = np.concatenate([[0.0], np.geomspace(0.004, 0.4, 60)])
+"""Time constants of a filter of the poses that are compared."""
 _REST = 10
 """Samples at the start whose mean is the first pose."""
 
-Simulator = Callable[[Sequence[Model], Array, Array], Array]
-"""From models (E), commands (T, J) and a first pose to tracks (E, T, 3 + J)."""
+
+@dataclass(frozen=True)
+class PoseNoise:
+    """Noise of x, y and heading."""
+
+    sd: Array  # standard deviation before the filter, shape (3,)
+    lag_s: float = 0.0  # time constant of the filter; 0 without a filter
+    # log-likelihood ratio of each of ``LAGS_S`` to white noise; None where poses were resampled or
+    # lost, which smooths them too
+    colour: Array | None = None
+
+    def log_ratio(self, lag_s: float) -> float:
+        """Log-likelihood ratio of a filter with this time constant to white noise."""
+        return 0.0 if self.colour is None else float(np.interp(lag_s, LAGS_S, self.colour))
+
+    def drawn(self, rng: np.random.Generator, shape: tuple[int, ...], period_s: float) -> Array:
+        """Random samples of this noise, shape (..., T, 3)."""
+        white = rng.standard_normal((*shape, 3)) * self.sd
+        weight = _filter_weight(self.lag_s, period_s)
+        state = white[..., :1, :] * weight
+        out, _ = lfilter([1 - weight], [1, -weight], white, axis=-2, zi=state)
+        return np.asarray(out)
+
+
+def _filter_weight(lag_s: float, period_s: float) -> float:
+    """Weight of the previous output in a first-order filter."""
+    return float(np.exp(-period_s / lag_s)) if lag_s > 0 else 0.0
+
+
+def pose_noise(
+    poses: Array, period_s: float, *, sure: float = 5.0, most: float = 60.0, longest_s: float = 0.05
+) -> PoseNoise | None:
+    """Noise of poses (T, 3) at regular intervals, by third differences; None if they are few.
+
+    It counts as smoothed from a log-likelihood ratio of ``sure``, by a filter of at most
+    ``longest_s``: longer ones differ in the size of the noise only. Ratios are at most ``most``.
+    """
+    third = np.diff(poses, 3, axis=0)
+    window = np.hanning(len(third))[:, None]
+    hertz = np.fft.rfftfreq(len(third), period_s)
+    high = hertz > 9.0
+    if high.sum() < 64:
+        return None
+    angle = 2 * np.pi * period_s * hertz[high]
+    power = np.abs(np.fft.rfft(third * window, axis=0)[high]) ** 2 / np.sum(window**2)
+    flat = power / (2 * np.sin(angle / 2))[:, None] ** 6
+    weight = np.array([[_filter_weight(lag, period_s)] for lag in LAGS_S])
+    response = (1 - weight) ** 2 / (1 + weight**2 - 2 * weight * np.cos(angle))
+    square = np.mean(flat / response[:, :, None], axis=1)
+    log_power = np.log(square).sum(axis=1) * angle.size + 3 * np.log(response).sum(axis=1)
+    # the window correlates neighbouring frequencies: about two thirds are independent
+    log_ratio = -2 / 3 * (log_power - log_power[0])
+    longest = np.searchsorted(LAGS_S, longest_s, side="right") - 1
+    best = min(int(np.argmax(log_ratio)), int(longest)) if log_ratio.max() >= sure else 0
+    return PoseNoise(np.sqrt(square[best]), float(LAGS_S[best]), np.clip(log_ratio, -most, most))
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,19 +114,15 @@ class Swim:
     start: Array  # first pose: x, y, heading
     # surge, sway, yaw rate and the joints' angles, shape (T, 3 + J); NaN where missing
     signals: Array
-    # standard deviation of the recording's noise in each signal, shape (3 + J,); 0 where it is not
-    # known
+    pose: Array  # measured poses, shape (T, 3)
+    # standard deviation of the recording's noise in each signal, shape (3 + J,)
     noise: Array | float = 0.0
-    pose: Array | None = None  # measured poses, shape (T, 3); None if they are not known
     repeated: float = 0.0  # share of the poses that are identical to those of the sample before
-    pose_noise: PoseNoise | None = None  # noise of the poses; None where it is not known
+    pose_noise: PoseNoise = PoseNoise(np.zeros(3))  # noise of the poses
 
     @property
     def heading(self) -> Array:
         """Measured heading, shape (T,), smoothed with the same filter as the velocities."""
-        if self.pose is None:
-            turned = np.cumsum(self.signals[:, 2]) * CONTROL_S
-            return np.asarray(self.start[2] + turned - turned[0])
         return np.asarray(savgol_filter(self.pose[:, 2], min(11, self.t.size), 2))
 
     @property
@@ -80,10 +133,8 @@ class Swim:
     def first(self, share: float) -> Swim:
         """The first part of the swim."""
         n = round(self.t.size * share)
-        pose = None if self.pose is None else self.pose[:n]
-        return replace(
-            self, t=self.t[:n], command=self.command[:n], signals=self.signals[:n], pose=pose
-        )
+        names = ("t", "command", "signals", "pose")
+        return replace(self, **{name: getattr(self, name)[:n] for name in names})
 
 
 def units_of(robot: Robot) -> dict[str, str]:
@@ -125,9 +176,10 @@ def swim_of(recording: Recording, robot: Robot) -> Swim:
     regular = len(recording.t) == t.size and np.allclose(recording.t, t, atol=1e-4)
     # the spectrum of the noise is known only where no pose was resampled or lost
     known = regular and np.isfinite(pose).all() and repeated == 0.0
-    noise = pose_noise(grid, CONTROL_S) if known else None
-    if noise is None or noise.lag_s == 0:
-        noise = PoseNoise(_noise_sd(grid), 0.0, None if noise is None else noise.colour)
+    white = PoseNoise(_noise_sd(grid))
+    noise = (known and pose_noise(grid, CONTROL_S)) or white
+    if noise.lag_s == 0:
+        noise = replace(noise, sd=white.sd)
     samples = noise.drawn(np.random.default_rng(0), (t.size,), CONTROL_S)
     return Swim(
         name=recording.name,
@@ -135,8 +187,8 @@ def swim_of(recording: Recording, robot: Robot) -> Swim:
         command=np.nan_to_num(recording.command[row][:, order]),
         start=grid[:_REST].mean(axis=0),
         signals=np.concatenate([body_velocity(t, grid), joints], axis=1),
-        noise=np.concatenate([body_velocity(t, samples).std(axis=0), _noise_sd(joints)]),
         pose=grid,
+        noise=np.concatenate([body_velocity(t, samples).std(axis=0), _noise_sd(joints)]),
         repeated=repeated,
         pose_noise=noise,
     )
@@ -170,10 +222,9 @@ def _noise_sd(signals: Array) -> Array:
     return np.asarray(np.nan_to_num(np.nanmedian(third, axis=0) / 0.6745 / np.sqrt(20)))
 
 
-def simulated(swim: Swim, models: Sequence[Model], simulator: Simulator) -> Array:
+def simulated(swim: Swim, models: Sequence[Model], simulator: SwimSimulator) -> Array:
     """Signals of a swim for models with camera effects, (E, T, 3 + J), NaN after a stop."""
-    track = simulator(models, swim.command, swim.start)
-    return seen(swim.t, track, [values(model) for model in models])
+    return seen(swim.t, simulator(models, swim), [values(model) for model in models])
 
 
 def seen(t: Array, track: Array, parameters: Sequence[Mapping[str, float]]) -> Array:
@@ -187,28 +238,21 @@ def seen(t: Array, track: Array, parameters: Sequence[Mapping[str, float]]) -> A
     return out
 
 
-def by_twin(robot: Robot, **options: Any) -> Simulator:  # noqa: ANN401 - those of Twin
+def by_twin(robot: Robot, **options: Any) -> SwimSimulator:  # noqa: ANN401 - those of Twin
     """The reduced-order twin as a simulator."""
 
-    def run(models: Sequence[Model], command: Array, start: Array) -> Array:
-        twin = Twin(robot, models, n_envs=len(models), **options)
-        twin.reset(pose=start)
-        first = twin.track()
-        return np.concatenate([first[:, None], twin.swim(command[:-1])], axis=1)
+    def run(models: Sequence[Model], swim: Swim) -> Array:
+        return Twin(robot, models, n_envs=len(models), **options).swum(swim.command, swim.start)
 
     return run
 
 
-def of_swims(simulator: Simulator) -> SwimSimulator:
-    """A simulator of swims from their first pose."""
-    return lambda models, swim: simulator(models, swim.command, swim.start)
-
-
-def by_fluid(robot: Robot, **options: Any) -> Simulator:  # noqa: ANN401 - those of Swimmer
+def by_fluid(robot: Robot, **options: Any) -> SwimSimulator:  # noqa: ANN401 - those of Swimmer
     """The lattice-Boltzmann fluid as a simulator."""
 
-    def run(models: Sequence[Model], command: Array, start: Array) -> Array:
-        return swum(Swimmer(robot, models, n_envs=len(models), **options), command, start)
+    def run(models: Sequence[Model], swim: Swim) -> Array:
+        swimmer = Swimmer(robot, models, n_envs=len(models), **options)
+        return swum(swimmer, swim.command, swim.start)
 
     return run
 
@@ -234,12 +278,12 @@ def by_followed_twin(robot: Robot, **settings: Any) -> SwimSimulator:  # noqa: A
     def run(models: Sequence[Model], swim: Swim) -> Array:
         twin = Twin(robot, models, n_envs=len(models), **options)
         twin.reset(pose=swim.start)
-        measured = swim.start[None] if swim.pose is None else uniform_filter1d(swim.pose, 5, axis=0)
+        measured = uniform_filter1d(swim.pose, 5, axis=0)
         last = twin.track()
         angles, displacements = last[:, 3:], []
         commands = swim.command[:-1]
         for a, b in block_bounds(len(commands), CONTROL_S):
-            if a and swim.pose is not None:
+            if a:
                 _carry(twin, measured[a])
                 last = np.hstack([np.tile(measured[a], (len(models), 1)), last[:, 3:]])
             track = np.concatenate([last[:, None], twin.swim(commands[a:b])], axis=1)
@@ -251,8 +295,8 @@ def by_followed_twin(robot: Robot, **settings: Any) -> SwimSimulator:  # noqa: A
 
 
 def block_bounds(samples: int, period_s: float) -> list[tuple[int, int]]:
-    """First sample and end of each block of about ``BLOCK_S``."""
-    count = max(1, round(samples * period_s / BLOCK_S))
+    """First sample and end of each block of about 2.5 s."""
+    count = max(1, round(samples * period_s / 2.5))
     edges = np.linspace(0, samples, count + 1).round().astype(int)
     return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
 
@@ -304,31 +348,35 @@ def with_values(model: Model, parameters: Mapping[str, float]) -> Model:
     Sizes of a servo's effects (``j1.coulomb_friction.torque_Nm``) are added to those it has.
     """
     joints, body = dict(model.joints), dict(model.body)
-    law = dict(vars(Coefficients.of(body)))
-    effects = values(model)
+    law, known = dict(vars(Coefficients.of(body))), values(model)
     for name, value in parameters.items():
         head, _, tail = name.partition(".")
+        effect, _, parameter = tail.rpartition(".")
         if head in joints:
-            joints[head] = _with_value(joints[head], tail, value)
+            servo, changed = joints[head], dict[str, Any]({tail: value})
+            if effect:
+                effects = {one.effect: dict(one.parameters) for one in servo.effects}
+                own = effects.setdefault(effect, {})
+                own[parameter] = own.get(parameter, 0.0) + value
+                changed = {"effects": tuple(FittedEffect(*one) for one in effects.items())}
+            joints[head] = replace(servo, **changed)
         elif head == "twin":
             law[tail] = value
         elif head == "water":
             body["water"] = {**body.get("water", {}), tail: value}
         else:
-            effects[name] = value
+            known[name] = value
     if any(name.startswith("twin.") for name in parameters) or "twin" in body:
         body["twin"] = law
-    body["effects"] = listed(effects)
+    body["effects"] = listed(known)
     return replace(model, joints=joints, body=body)
 
 
-def _with_value(servo: JointModel, name: str, value: float) -> JointModel:
-    """A servo with a value of its own, or of an effect (``EFFECT.NAME``) besides what it has."""
-    effect, _, parameter = name.rpartition(".")
-    if not effect:
-        changed: dict[str, Any] = {name: value}
-        return replace(servo, **changed)
-    effects = {one.effect: dict(one.parameters) for one in servo.effects}
-    known = effects.setdefault(effect, {})
-    known[parameter] = known.get(parameter, 0.0) + value
-    return replace(servo, effects=tuple(FittedEffect(*item) for item in effects.items()))
+def values_of(model: Model, names: Sequence[str]) -> Array:
+    """Values by name, as ``with_values`` takes them; 0 where the model has no such effect."""
+    parts = {name: vars(joint) for name, joint in model.joints.items()}
+    parts |= {name: model.body.get(name, {}) for name in ("twin", "water")}
+    known = values(model)
+    for head, part in parts.items():
+        known |= {f"{head}.{tail}": value for tail, value in part.items()}
+    return np.array([float(known.get(name, 0.0)) for name in names])

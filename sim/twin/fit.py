@@ -1,8 +1,7 @@
 """The coefficients of the twin's law, fitted to swims of a robot in the fluid.
 
-Least squares on surge, sway and yaw rate by the library's velocity estimator, and on the joints'
-angles, which show what the water asks of the servos; each in the root mean square of its own swim.
-Some swims are held out of the fit and scored.
+Least squares on surge, sway, yaw rate and the joints' angles, each in the root mean square of its
+own swim. Some swims are held out of the fit and scored.
 """
 
 from __future__ import annotations
@@ -62,7 +61,6 @@ _BOUNDS = {
     "tail": (0.2, 5.0),
     "lag": (0.02, 10.0),
 }
-_STEP = 0.02
 STARTS = (
     FITTED,
     Coefficients(4.0, 1.0, 1.0, 0.3, 1.0, 2.0, 0.5, 0.3, 0.5, 1.0, 1.0, 0.5),
@@ -132,9 +130,9 @@ class Swims:
             return np.nan_to_num((swum - truth) / rms, nan=1e3).reshape(len(rows), -1)
 
         def slope(x: Array) -> Array:
-            step = _STEP * np.eye(x.size)
+            step = 0.02 * np.eye(x.size)
             swum = errors(np.concatenate([x + step, x - step])).reshape(2, x.size, -1)
-            return np.asarray(((swum[0] - swum[1]) / (2 * _STEP)).T)
+            return np.asarray(((swum[0] - swum[1]) / 0.04).T)
 
         low, high = np.log([_BOUNDS.get(name, (1e-3, 100.0)) for name in NAMES]).T
         x0 = np.clip(np.log([max(getattr(start, name), 1e-9) for name in NAMES]), low, high)
@@ -162,9 +160,8 @@ def law_of(x: Array) -> Coefficients:
 
 
 def swum(
-    robot: Robot, model: Model, seconds: float, progress: Progress, *,
-    cell_m: float, device: str, threads: int = 2,
-) -> Swims:  # fmt: skip
+    robot: Robot, model: Model, seconds: float, progress: Progress, *, cell_m: float, device: str
+) -> Swims:
     """Swim all signals in the fluid, with the hull and the servos alone.
 
     Raises:
@@ -174,7 +171,7 @@ def swum(
     bare, names = replace(model, body=body), tuple(WAVES)
     sent, track = set_points(robot, names, seconds), []
     swimmer = Swimmer(
-        hull_alone(robot), bare, n_envs=len(sent), cell_m=cell_m, device=device, threads=threads
+        hull_alone(robot), bare, n_envs=len(sent), cell_m=cell_m, device=device, threads=2
     )
     for k in range(sent.shape[1]):
         swimmer.step(sent[:, k])

@@ -129,6 +129,12 @@ class Twin(Robots):
         self.step_count += T
         return out
 
+    def swum(self, commands: Array, pose: Array, which: Index | None = None) -> Array:
+        """Tracks (E, T, 3 + J) from rest at a pose, at the beginning of each control period."""
+        self.reset(pose=pose)
+        first = self.track()[:, None]
+        return np.concatenate([first, self.swim(commands[..., :-1, :], which)], axis=1)
+
     def _swim(self, signal: Any, which: Any, track: Any) -> None:  # noqa: ANN401 - Warp arrays
         """Simulate signals, on several threads of a CPU."""
         h, E = wp.float64(CONTROL_S / self.substeps), self.n_envs

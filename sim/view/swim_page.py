@@ -10,14 +10,12 @@ import numpy as np
 from sim.inference.law_error import LAW_ERROR
 from sim.inference.swims import (
     HELD_OUT_SHARE,
-    Simulator,
     Swim,
     SwimSimulator,
     names_in_files,
     simulated,
     units_of,
 )
-from sim2real.arrays import Array
 from sim2real.diagnose.result import Diagnosis, NamedEffect, Rival, percent
 from sim2real.inference.segments import Window
 from sim2real.model import Model
@@ -29,7 +27,6 @@ from sim2real.report.series import Panel, series_block
 from sim2real.robot import Robot
 from sim2real.viewers.scenes import MEASURED, Scene, SignalGroup, recorded
 
-_LEAD = "Which physics of the body or the camera does the simulator leave out of these swims?"
 _SENTENCES = {
     "consistent": "These swims show no missing effect.",
     "explained": "What was missing from the simulation is identified.",
@@ -37,7 +34,6 @@ _SENTENCES = {
     "unexplained": "Something is missing that no effect of the catalogue explains.",
     "ambiguous": "Something is missing; these swims do not distinguish its candidates.",
 }
-_ERRORS = "Root mean square error on the end of the swims, fitted to the part before; SI units."
 _WHERE = (
     "Residual of the model without missing effects, in standard deviations of noise and of the "
     "simulator's usual error: the share of each signal, and the part of the motion that has most "
@@ -47,14 +43,12 @@ _COMPARED = (
     "{swim}: measured, and simulated before and after; all models were fitted to all of it. "
     "Shaded: times of large residuals."
 )
-_PLOTTED = 3
-"""Largest number of swims that are plotted."""
 
 
 def swim_panels(
     swim: Swim,
     models: tuple[Model, Model],
-    simulator: Simulator,
+    simulator: SwimSimulator,
     robot: Robot,
     *,
     label: str = "calibrated",
@@ -101,7 +95,10 @@ def swims_section(
         (name, f"{x:.4g}", f"{enriched[name]:.4g}", change_text(x, enriched[name]))
         for name, x in plain.items()
     ]
-    blocks.append(Table(("signal", "before", "with what is named", ""), errors, _ERRORS))
+    of_errors = (
+        "Root mean square error on the end of the swims, fitted to the part before; SI units."
+    )
+    blocks.append(Table(("signal", "before", "with what is named", ""), errors, of_errors))
     names = dict(zip(names_in_files(robot), units_of(robot), strict=True))
     where = [
         (names[entry.signal], f"{100 * entry.share:.0f} %", entry.where.partition(", ")[2])
@@ -112,10 +109,9 @@ def swims_section(
     if simulate is not None and diagnosis.baseline is not None and diagnosis.mismatch:
         enriched_model = diagnosis.baseline if enriched == plain else diagnosis.model
         models = (diagnosis.baseline, enriched_model)
-        for swim in swims[:_PLOTTED]:
+        for swim in swims[:3]:
             panels = swim_panels(
-                swim, models, lambda some, *_, swim=swim: simulate(some, swim), robot,
-                label="with what is named", held_out=0.0,
+                swim, models, simulate, robot, label="with what is named", held_out=0.0,
                 windows_s={m.signal: m.windows_s.get(swim.name, ()) for m in diagnosis.mismatch},
             )  # fmt: skip
             caption = _COMPARED.format(swim=swim.name)
@@ -127,7 +123,8 @@ def swims_section(
     others = [(e.effect, e.component, percent(e.probability)) for e in considered]
     if others:
         blocks.append(Table(("considered as well", "of", "probability"), others))
-    return Section("Diagnosis", _LEAD, [*blocks, *(Text(line) for line in diagnosis.gate)])
+    lead = "Which physics of the body or the camera does the simulator leave out of these swims?"
+    return Section("Diagnosis", lead, [*blocks, *(Text(line) for line in diagnosis.gate)])
 
 
 def swims_scene(
@@ -144,17 +141,12 @@ def swims_scene(
     models = {"plain": diagnosis.baseline, "enriched": diagnosis.model}
     for recording, swim in zip(recordings, swims, strict=True):
         tracks = simulate(list(models.values()), swim)
+        since_start = recording.t - recording.t[0]
+        places = [recording.joints.index(joint.name) for joint in robot.joints]
         for name, track in zip(models, tracks, strict=True):
-            scene += recorded(_as_recording(recording, swim, track, robot), robot, name)
+            values = np.column_stack([np.interp(since_start, swim.t, column) for column in track.T])
+            position = np.full_like(recording.position, np.nan)
+            position[:, places] = values[:, 3:]
+            columns = dict(zip(POSE, values[:, :3].T, strict=True))
+            scene += recorded(replace(recording, position=position, columns=columns), robot, name)
     return scene
-
-
-def _as_recording(recording: Recording, swim: Swim, track: Array, robot: Robot) -> Recording:
-    """A simulated track (T, 3 + J) at the times of its recording."""
-    since_start = recording.t - recording.t[0]
-    values = np.column_stack([np.interp(since_start, swim.t, column) for column in track.T])
-    names = [joint.name for joint in robot.joints]
-    position = np.full_like(recording.position, np.nan)
-    position[:, [recording.joints.index(name) for name in names]] = values[:, 3:]
-    columns = dict(zip(POSE, values[:, :3].T, strict=True))
-    return replace(recording, position=position, columns=columns)

@@ -11,7 +11,8 @@ from violations import violations
 
 from sim.fluid.fluid import POOL_M
 from sim.inference.design_swim import SwimLimits, SwimObjective, design_swim, draw
-from sim.inference.swims import by_twin, with_values
+from sim.inference.swims import with_values
+from sim.twin.twin import Twin
 from sim2real.cli import main
 from sim2real.design.limits import limits_of
 from sim2real.design.rivals import Request
@@ -53,7 +54,7 @@ def test_the_swim_stays_in_the_pool_and_keeps_all_limits(designed):
     assert broken(body.command[None]) == [[[]]] * 3
     assert np.ptp(body.command, axis=0).max() > 0.1
     model = with_values(SERVOS, dict(RIVALS.sets[0].coordinates))
-    (track,) = by_twin(FISH, threads=1)([model], body.command, np.zeros(3))
+    (track,) = Twin(FISH, model, threads=1).swum(body.command, np.zeros(3))
     length = sum(link.length_m for link in FISH.links)
     assert np.abs(track[:, :2]).max() < POOL_M[0] / 2 - length + 0.02
 

@@ -60,7 +60,7 @@ def calibration_of(robot):
         rmse=np.array([[0.5, 0.5, 0.5, 0.5], [0.25, 0.25, 0.25, 0.125]]),
         noise=np.array([0.0, 0.0, 0.0, 0.1]),
     )
-    return Calibration(Model({}), Model({}), robot, (), found)
+    return Calibration(Model({}), Model({}), robot, (), None, found)
 
 
 @pytest.fixture

@@ -170,7 +170,7 @@ def test_the_error_of_the_areas_is_fitted_and_reaches_the_ranges():
     plain = replace(servos(), body={})
     t = 0.02 * np.arange(200)
     command = 0.4 * np.sin(2 * np.pi * 1.2 * t[:, None] - np.array([0.0, 1.0, 2.0]))
-    blank = Swim("made", t, command, np.zeros(3), np.empty((t.size, 0)))
+    blank = Swim("made", t, command, np.zeros(3), np.empty((t.size, 0)), np.zeros((t.size, 3)))
     simulator = by_twin(robot, threads=1)
     truth = with_values(plain, {"appendage_area.ratio": 0.4})
     (seen,) = simulated(blank, [truth], simulator)

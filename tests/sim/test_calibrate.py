@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from swimming_robots import FISH, servos
 
-from sim.inference.calibration import Calibrated, FluidSettings, calibrate, calibrate_in_fluid
+from sim.inference.calibration import Calibrated, calibrate, calibrate_in_fluid
 from sim.inference.coordinates import (
     effect_parameters,
     servo_parameters,
     twin_parameters,
     water_parameters,
 )
-from sim.inference.emulator import emulator
+from sim.inference.in_water import emulator
 from sim.inference.law_error import marginalised
 from sim.inference.swims import Swim, by_followed_twin, by_twin, simulated, swim_of, with_values
 from sim.robot.swimmer import CONTROL_S, Swimmer, least_viscosity
@@ -32,10 +32,11 @@ SENT = np.array(
 
 def swum(truth, seed=0, model=None, robot=FISH):
     rng = np.random.default_rng(seed)
-    empty = Swim("made", TIMES, SENT, np.zeros(3), np.empty((0, 6)))
-    (signals,) = simulated(empty, [with_values(model or servos(), truth)], by_twin(robot))
+    made, nowhere = [with_values(model or servos(), truth)], np.zeros((TIMES.size, 3))
+    empty = Swim("made", TIMES, SENT, np.zeros(3), np.empty((0, 6)), nowhere)
+    (signals,), (track,) = simulated(empty, made, by_twin(robot)), by_twin(robot)(made, empty)
     noise = rng.standard_normal(signals.shape) * [0.005, 0.005, 0.02, 0.002, 0.002, 0.002]
-    return Swim("made", TIMES, SENT, np.zeros(3), signals + noise)
+    return replace(empty, signals=signals + noise, pose=track[:, :3])
 
 
 def test_what_was_put_in_comes_out():
@@ -118,7 +119,7 @@ def test_a_hidden_skin_does_not_pass_for_latency():
     for p, at, sd in zip(free, mean, np.sqrt(np.diag(covariance)), strict=True):
         assert at == pytest.approx(truth.get(p.name, p.nominal), abs=3 * sd), p.name
         assert sd < 0.004
-    one = Calibrated(servos(), tuple(free), nominal, covariance, *np.zeros((3, 2, 6)), mean=mean)
+    one = Calibrated(servos(), tuple(free), nominal, mean, covariance, *np.zeros((3, 2, 6)))
     ends = one.interval()
     assert (ends[:, 0] <= nominal).all()
     assert (nominal <= ends[:, 1]).all()
@@ -146,14 +147,14 @@ def some(*names):
 
 
 def calibrated(truth, count, **options):
-    settings = FluidSettings(0.01, rollouts=count)
-    return calibrate_in_fluid([recorded(truth)], servos(), FISH, TWIN, settings, **options)
+    given = [recorded(truth)], servos(), FISH, TWIN
+    return calibrate_in_fluid(*given, cell_m=0.01, rollouts=count, **options)
 
 
 def test_rollouts_that_were_stopped_are_left_out_and_most_must_be_whole():
     def stopping(*rows):
-        def simulator(models, command, start):
-            track = TWIN(models, command, start)
+        def simulator(models, swim):
+            track = TWIN(models, swim)
             track[list(rows), 100:] = np.nan
             return track
 
@@ -185,10 +186,8 @@ def test_a_batch_has_more_rollouts_than_parameters():
 
 
 def test_coarser_cells_widen_the_intervals():
-    def thicker(models, command, start):
-        return TWIN(
-            [with_values(m, {"linear_drag.coefficient": 0.5}) for m in models], command, start
-        )
+    def thicker(models, swim):
+        return TWIN([with_values(m, {"linear_drag.coefficient": 0.5}) for m in models], swim)
 
     alone, with_coarse = (calibrated({}, 24, coarser=coarse) for coarse in (None, thicker))
     assert alone.best == pytest.approx(with_coarse.best)

@@ -11,16 +11,16 @@ from swimming_robots import FISH, LAW, servos
 from test_calibrate import SENT, TIMES
 
 import sim.inference.coordinates as places
-from sim.inference import law_error
-from sim.inference import searched as search
+from sim.inference import law_error, swim_problem
 from sim.inference.coordinates import SERVOS, WATER_FORCES, Coordinates, candidates
 from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.law_error import LAW_ERROR, learned, read_law_error
-from sim.inference.searched import SwimSearch, searched
+from sim.inference.searched import searched
 from sim.inference.signal_error import Blocks, spectrum
 from sim.inference.swim_decision import decide
 from sim.inference.swim_problem import COST, SwimProblem
 from sim.inference.swims import block_bounds, by_followed_twin, by_twin, swim_of, with_values
+from sim.twin.twin import Twin
 from sim2real.body import observed, values
 from sim2real.cli import main
 from sim2real.recording import Recording
@@ -50,7 +50,7 @@ def swum(truth, seed=0):
     """A swim of the twin itself, filmed with noise."""
     rng = np.random.default_rng(seed)
     model = with_values(servos(), truth)
-    (track,) = by_twin(FISH)([model], SENT, np.zeros(3))
+    (track,) = Twin(FISH, model).swum(SENT, np.zeros(3))
     pose = observed(TIMES, track[:, :3], values(model))
     pose = pose + rng.standard_normal(pose.shape) * [0.002, 0.002, 0.008]
     joints = track[:, 3:] + 0.002 * rng.standard_normal((len(track), 3))
@@ -146,14 +146,14 @@ def test_what_another_stood_for_at_first_stands_alone_at_last(monkeypatch):
     monkeypatch.setattr(
         places, "candidates", lambda robot: dict(sorted(listed.items(), reverse=True))
     )
-    monkeypatch.setattr(search, "FIRST", 1)
-    hopes = SwimSearch.additions
+    monkeypatch.setattr(swim_problem, "FIRST", 1)
+    hopes = SwimProblem.additions
 
     def filter_first(self, ledger, members, most):
         found = hopes(self, ledger, members, 2)
         return [one for one in found if members or one[0][0] == "pose_filter"]
 
-    monkeypatch.setattr(SwimSearch, "additions", filter_first)
+    monkeypatch.setattr(SwimProblem, "additions", filter_first)
     found = diagnosed({"camera_latency.latency_s": 0.12})
     assert [one.effect for one in found.effects if one.probability > 0.5] == ["camera_latency"]
     assert found.effects[0].parameters["latency_s"].mean == pytest.approx(0.12, abs=0.01)
@@ -162,7 +162,7 @@ def test_what_another_stood_for_at_first_stands_alone_at_last(monkeypatch):
 def test_a_carried_twin_swims_as_a_free_one_where_nothing_holds_it():
     """Water does not mind where a robot is: joints and speeds stay, to what sampling does."""
     swim = swum({})
-    free = by_twin(FISH)([servos()], swim.command, swim.start)[0]
+    free = by_twin(FISH)([servos()], swim)[0]
     seen_at = free[:, :3] + np.array([0.3, -0.2, 0.4])
     carried = by_followed_twin(FISH, substeps=8)([servos()], replace(swim, pose=seen_at))[0]
     assert carried.shape == free.shape
@@ -283,7 +283,7 @@ def test_a_mount_that_drifts_is_no_effect_of_the_catalogue(few):
     before = learned([], servos(), FISH, simulate, IN_WATER)
     drifts = replace(swim, pose=pose, start=pose[0], signals=signals)
     found = searched([drifts], servos(), FISH, simulate, before)
-    shapes = found.nameless["plain"]
+    shapes = found.raw["nameless"]["plain"]
     assert max(shapes, key=shapes.__getitem__) == "mount"
     gain = found.best.evidence - found.plain.evidence + COST * len(found.best.members)
     assert shapes["mount"] > gain + 10
@@ -295,7 +295,8 @@ def test_slopes_that_are_renewed_are_those_that_a_fit_moves(few):
     members = frozenset(e for e in c.effects if e[0] == "pool_current")
     x = c.nominal
     known = problem.at(x)
-    x[c.of_effect(*members)] = 0.02
+    (effect,) = members
+    x[c.effects[effect]] = 0.02
     whole, part = problem.at(x), problem.at(x, members, known)
     own = c.in_fit(members)
     np.testing.assert_allclose(part.slope[:, own], whole.slope[:, own], atol=1e-9)
@@ -327,7 +328,7 @@ def test_a_skin_that_would_have_to_push_is_no_evidence():
     for effect in c.effects:
         if effect[0] in ("skin_elasticity", "linear_drag"):
             members = frozenset({effect})
-            step = problem.seems(members, plain.fit)[c.of_effect(effect)]
+            step = problem.seems(members, plain.fit)[c.effects[effect]]
             assert (step >= 0.0).all()
 
 

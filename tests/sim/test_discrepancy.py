@@ -34,7 +34,7 @@ def slower(swim, share):
 def test_shapes_are_of_one_signal_each_and_small_ones_add_up():
     signals = swum({}).signals
     shapes = signal_error.shapes(signals)
-    assert tuple(shapes) == signal_error.names(3)
+    assert list(shapes) == list(signal_error.kinds_of(3))
     for one in shapes.values():
         assert one.shape == signals.shape
         assert np.count_nonzero(np.abs(one).max(axis=0)) == 1

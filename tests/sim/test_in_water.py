@@ -23,9 +23,10 @@ from sim.inference.in_water import (
 from sim.inference.law_error import IN_WATER, learned, read_law_error
 from sim.inference.searched import changed, doubtful
 from sim.inference.swim_problem import SwimProblem
-from sim.inference.swims import by_followed_twin, by_twin, steps_of, with_values
+from sim.inference.swims import by_followed_twin, steps_of, with_values
 from sim.robot.swimmer import CONTROL_S
 from sim.twin.law import Coefficients
+from sim.twin.twin import Twin
 from sim2real.body import values
 from sim2real.cli import main
 
@@ -44,7 +45,7 @@ def water():
     """A twin of another law stands for the fluid, a third for its other waters."""
     model = servos()
     laws = [with_values(model, given) for given in (OTHER, OTHER | {"twin.linear": 0.5})]
-    first, second = speeds(by_twin(FISH)(laws, SENT, np.zeros(3)))
+    first, second = speeds(Twin(FISH, laws, n_envs=2).swum(SENT, np.zeros(3)))
     steps = np.stack([first, second - first, *[0 * first] * (len(WATER) - 1)])
     return InWater(WATER, {key(swum({})): steps})
 
@@ -97,7 +98,7 @@ def test_a_model_with_water_has_a_column_for_each(water):
 
 def test_the_nearest_law_swims_as_the_fluid_did(water):
     near = with_nearest_law(FISH, servos(), water).of(servos())
-    found = speeds(by_twin(FISH)([servos(), near], SENT, np.zeros(3)))
+    found = speeds(Twin(FISH, [servos(), near], n_envs=2).swum(SENT, np.zeros(3)))
     before, after = np.abs(found - water.steps[key(swum({}))][0])[..., :2].mean(axis=(1, 2))
     assert after < 0.4 * before
 

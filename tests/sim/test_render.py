@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from swimming_robots import FISH, in_a_box, with_effects
 
-from sim.view.plane import depth, plane_of
-from sim.view.render import picture, save_picture
+from sim.view.picture import depth, picture, plane_of, save_picture
 from sim.view.video import Video
 from sim2real.recording import POSE, Recording
 from sim2real.viewers.scenes import axis_points

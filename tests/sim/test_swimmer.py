@@ -12,7 +12,7 @@ from sim.lattice.populations import is_wide
 from sim.lattice.velocities import D2Q9, D3Q19, WATER_KG_M3
 from sim.robot.shape import displaced
 from sim.robot.swimmer import CONTROL_S, Swimmer
-from sim.view.plane import plane_of
+from sim.view.picture import plane_of
 from sim2real.robot import Link, Robot
 
 BOX = (0.9, 0.9, 0.4)
