@@ -141,10 +141,8 @@ def write(rows: Sequence[Row], steps: Sequence[Row] = (), *, dry: bool, measures
         report["values"][name] = {"before": before, "value": value, "count": n, "how": why}
         if name in MEASURED_WITH and not measures:
             continue
-        values[name] |= {
-            "value": float(f"{value:.3g}"),
-            "from": f"{why}; {n} of {len(rows)} joints",
-        }
+        read = {"value": float(f"{value:.3g}"), "from": f"{why}; {n} of {len(rows)} joints"}
+        values[name] |= read
     content["made_by"], content["cases"] = "benchmarks/calibrate_decisions.py", cases
     order = ("schema", "made_by", "cases", "values", "odds", "odds_from")
     if not dry:

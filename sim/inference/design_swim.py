@@ -116,6 +116,7 @@ def design_swim(
         limits.joints[0].times(seconds),
         {joint.joint: body.command[:, k] for k, joint in enumerate(limits.joints)},
         {"rivals": [body.content()]},
+        {},
         kind="pool",
         medium="water",
     )

@@ -55,6 +55,7 @@ def commands_without_angles(
     t: Array,
     commands: Mapping[str, Array],
     metadata: Mapping[str, Any],
+    loads: Mapping[str, Load],
     **fields: Any,  # noqa: ANN401
 ) -> Recording:
     """Commands (T,) by joint as a recording without angles; ``fields`` are the recording's."""
@@ -67,6 +68,7 @@ def commands_without_angles(
         position=np.full(command.shape, np.nan),
         source="Commands to record next, by 'sim2real design'.",
         metadata=dict(metadata),
+        loads={name: load for name, load in loads.items() if load is not PER_INERTIA},
         **fields,
     )
 
@@ -167,12 +169,8 @@ def design(
         next(iter(limits.values())).times(seconds),
         {name: joint.found.command for name, joint in joints.items()},
         {"design": {name: joint.content() for name, joint in joints.items()}},
+        {name: joint.information.prior.load for name, joint in joints.items()},
         kind="servo",
-        loads={
-            name: load
-            for name, joint in joints.items()
-            if (load := joint.information.prior.load) is not PER_INERTIA
-        },
     )
     return Design(commands, joints)
 

@@ -355,7 +355,6 @@ def design_for_rivals(
             joints.append(forecast(objective, result.command))
         plans.append((score, context, joints))
     _, context, chosen = max(plans, key=lambda plan: plan[0])
-    loads = {one.component: context.load(one) for one in rivals}
     recording = commands_without_angles(
         chosen[0].times,
         {joint.rivals.component: joint.command for joint in chosen},
@@ -367,8 +366,8 @@ def design_for_rivals(
                 "gain_ratio": context.gain,
             },
         },
+        {one.component: context.load(one) for one in rivals},
         kind="servo",
-        loads={name: load for name, load in loads.items() if load is not PER_INERTIA},
     )
     return RivalDesign(recording, tuple(chosen), f"context: {context.name}", request.least)
 

@@ -35,9 +35,9 @@ from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
 from sim2real.servo.parameters import BASE, COLUMNS, LINE
 
-MOST = 10
+_MOST = 10
 """Changes, and pairs of them, that are fitted to the case."""
-NEAR = 0.3
+_NEAR = 0.3
 """Share of the best change's evidence from which another one stays in question."""
 _HEADS = 3
 """Single changes to which a second one is added."""
@@ -250,7 +250,26 @@ class Change:
         return frozenset((heads - {*SET_ANEW}).union(load))
 
 
-def single_change(by: Comparison, fits: Sequence[Fitted]) -> Change:
+def compared(by: Comparison) -> Change:
+    """Each change alone, two where the references show that one leaves something, or nothing."""
+    row = by.of.row
+    looks = by.screened(by.case, row)
+    ranked = sorted(looks, key=lambda name: -looks[name][0])
+    some = dict.fromkeys([*ranked[:_MOST], *(n for n in ranked if n in SET_ANEW)])
+    fits = [by.fitted([name], looks[name][1], row) for name in some]
+    best = max(fits, key=lambda fit: fit.evidence)
+    # The case counts less, by what the best explanation leaves of it.
+    weight, trust = by.case.weight * best.trust**0.5, by.case.trust * best.trust
+    by.case = replace(by.case, weight=weight, trust=trust).differing(by.law_sd)
+    least = _NEAR * best.evidence if best.evidence > 0 else best.evidence
+    fits = [by.fitted(fit.names, fit.row, row) for fit in fits if fit.evidence >= least]
+    wrong, left = DECISION.change.law_error**2 * by.start_bare, min(fit.bare for fit in fits)
+    if by.of.way == "repeat" and left > max(DECISION.change.misfit_ratio, wrong):
+        return _two(by, fits) or _single(by, fits)
+    return _single(by, fits)
+
+
+def _single(by: Comparison, fits: Sequence[Fitted]) -> Change:
     """One change, or none, or one that has no name."""
     numbers, way = DECISION.change, by.of.way
     best = max(fits, key=lambda fit: fit.evidence)
@@ -286,16 +305,16 @@ def _group(probability: Mapping[str, float]) -> Group:
     return Group(tuple(members), sure)
 
 
-def two_changes(by: Comparison, fits: Sequence[Fitted]) -> Change | None:
+def _two(by: Comparison, fits: Sequence[Fitted]) -> Change | None:
     """Two changes together, where they explain far more than any does alone."""
     alone = {fit.names[0]: fit for fit in fits}
     found: dict[Set, Fitted] = {}
 
-    def extend(name: str, most: int) -> None:
+    def extend(name: str) -> None:
         """Fit the changes that add most to this one."""
         first = alone.get(name) or by.fitted([name], by.of.row)
         looks = by.screened(by.case, first.row, present=frozenset((name,)))
-        for other in sorted(looks, key=lambda n: -looks[n][0])[:most]:
+        for other in sorted(looks, key=lambda n: -looks[n][0])[: _MOST // 2]:
             pair = frozenset((name, other))
             if pair not in found:
                 found[pair] = by.fitted([name, other], looks[other][1])
@@ -304,9 +323,9 @@ def two_changes(by: Comparison, fits: Sequence[Fitted]) -> Change | None:
         return max(found.values(), key=lambda fit: fit.evidence)
 
     for fit in sorted(fits, key=lambda fit: fit.bare)[:_HEADS]:
-        extend(fit.names[0], MOST // 2)
+        extend(fit.names[0])
     for name in best().names:  # its rivals, together with the other one
-        extend(name, MOST // 2)
+        extend(name)
     two = best()
     least = min(fit.bare for fit in fits)
     if mostly_left(by, two.left) or DECISION.change.misfit_ratio * two.bare > least:

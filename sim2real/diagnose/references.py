@@ -14,16 +14,7 @@ from scipy.special import expit
 
 from sim2real.arrays import Array, Index
 from sim2real.diagnose.case import Case, JointCase, batch_of, prepared
-from sim2real.diagnose.change import (
-    LOAD,
-    MOST,
-    NEAR,
-    Change,
-    Comparison,
-    mostly_left,
-    single_change,
-    two_changes,
-)
+from sim2real.diagnose.change import LOAD, Change, Comparison, compared, mostly_left
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.effect_probabilities import EffectPosterior, Group
 from sim2real.diagnose.explained import (
@@ -40,7 +31,7 @@ from sim2real.diagnose.result import Experiment
 from sim2real.diagnose.screening import with_effects
 from sim2real.diagnose.servo_search import BLOCKS, ServoSearch, plain_sets
 from sim2real.diagnose.unmodelled import Windows, unmodelled
-from sim2real.effects import SET_ANEW, named
+from sim2real.effects import named
 from sim2real.identification.joint_fit import EXPLAINED, choose_motor
 from sim2real.identification.priors import motor_prior, of_effects, plain_parameters
 from sim2real.identification.problem import Fit, ServoProblem
@@ -244,29 +235,13 @@ def what_changed(
 ) -> Change:
     """What of a joint differs from its references, whose servo has the parameters ``row`` (P,).
 
-    Each change alone, two where the references show that one leaves something, or nothing.
     ``step_rad`` is the step of the case's sensor where that is coarser than stated.
     """
     of = explained(references, case, row, servo.position_step_rad)
     if not of.case.any():
         return Change((Group((LOAD,), 0.0),), {}, row)
     by = Comparison(of, servo)
-    looks = by.screened(by.case, of.row)
-    ranked = sorted(looks, key=lambda name: -looks[name][0])
-    some = dict.fromkeys([*ranked[:MOST], *(n for n in ranked if n in SET_ANEW)])
-    fits = [by.fitted([name], looks[name][1], of.row) for name in some]
-    best = max(fits, key=lambda fit: fit.evidence)
-    # The case counts less, by what the best explanation leaves of it.
-    weight, trust = by.case.weight * best.trust**0.5, by.case.trust * best.trust
-    by.case = replace(by.case, weight=weight, trust=trust).differing(by.law_sd)
-    least = NEAR * best.evidence if best.evidence > 0 else best.evidence
-    fits = [by.fitted(fit.names, fit.row, of.row) for fit in fits if fit.evidence >= least]
-    change = single_change(by, fits)
-    wrong = DECISION.change.law_error**2 * by.start_bare
-    least = min(fit.bare for fit in fits)
-    if of.way == "repeat" and least > max(DECISION.change.misfit_ratio, wrong):
-        change = two_changes(by, fits) or change
-    return _with_nameless(by, change, step_rad)
+    return _with_nameless(by, compared(by), step_rad)
 
 
 def _with_nameless(by: Comparison, change: Change, step_rad: float) -> Change:
