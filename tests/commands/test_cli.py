@@ -195,18 +195,18 @@ class InThisProcess(nullcontext):
 def test_demo_ends_in_a_page(train, short, tmp_path, capsys, monkeypatch):
     """With ten seconds of each recording, the shipped agents or a training too short to learn."""
     demo_pool = pytest.importorskip("rl.commands.demo_pool", reason="no extra 'rl'")
-    from rl.task import TASKS, shortened
+    from rl.task import TASKS
     from sim.inference.coordinates import candidates
 
     out, data = tmp_path / "demo", short / "datasets"
     if not train:  # in this process, where the trials are short; the slow tests start the second
         monkeypatch.setattr("rl.commands.demo.ProcessPoolExecutor", InThisProcess)
-        monkeypatch.setitem(TASKS, "turn", shortened(TASKS["turn"], 40))
+        monkeypatch.setitem(TASKS, "turn", replace(TASKS["turn"], steps=40))
         monkeypatch.setattr("rl.commands.demo._DIAGNOSED", ("steps",))
         listed = candidates(demo_pool.robot_in(data / "pool"))
         few = {one: free for one, free in listed.items() if one[0].startswith("skin")}
         monkeypatch.setattr("sim.inference.coordinates.candidates", lambda robot: few)
-    task = shortened(demo_pool.QUICK.task, 200)
+    task = replace(demo_pool.QUICK.task, steps=200)
     quick = replace(demo_pool.QUICK, task=task, steps=1_280, envs=4, segment=640)
     monkeypatch.setattr(demo_pool, "QUICK", quick)  # for the ablation alone
     monkeypatch.setattr(demo_pool, "SEEDS", 2)
