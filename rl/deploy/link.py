@@ -166,7 +166,7 @@ def opened(url: str, option: str, expected: str, *, bind: bool = False) -> socke
     return end
 
 
-class Link:
+class Link(contextlib.AbstractContextManager["Link"]):
     """The computer's end, of a robot with J joints; ``strange`` counts unexpected datagrams."""
 
     def __init__(self, url: str, J: int, key: bytes | None = None) -> None:
@@ -208,9 +208,6 @@ class Link:
                     else:
                         telemetry.append(message)
         return telemetry
-
-    def __enter__(self) -> Link:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._socket.close()
