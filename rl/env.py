@@ -35,11 +35,6 @@ def action_space(world: World) -> spaces.Box:
     return spaces.Box(-1.0, 1.0, (len(world.low),), dtype=np.float32)
 
 
-def decision_of(action: Any, world: World) -> Tensor:  # noqa: ANN401 - any array
-    """An action or a batch of them on the world's device, clipped to -1 and 1."""
-    return torch.as_tensor(action, dtype=torch.float32, device=world.device).clamp(-1.0, 1.0)
-
-
 def told(task: Task, step: Step) -> dict[str, Tensor]:
     """What ``info`` has of a step, each of shape (E,); the three terms sum up to the reward.
 
@@ -106,7 +101,8 @@ class FishEnv(gymnasium.Env[Array32, Array32]):
 
         ``action`` may be of any type that NumPy reads, and is clipped to its space.
         """
-        step = self.decisions.step(decision_of(action, self.world)[None], begin=False)
+        decision = torch.as_tensor(action, dtype=torch.float32, device=self.world.device)
+        step = self.decisions.step(decision[None], begin=False)
         info = {name: values[0].item() for name, values in told(self.world.task, step).items()}
         ends = bool(step.terminated[0]), bool(step.truncated[0])
         return step.final[0].cpu().numpy(), float(step.reward[0]), *ends, info
@@ -171,7 +167,8 @@ class FishVectorEnv(VectorEnv[Array32, Array32, Array32]):
     def step(self, actions: Array32) -> tuple[Array32, Array32, Any, Any, dict[str, Any]]:
         """Apply a decision of each robot and simulate until the next."""
         same_step = self.autoreset_mode is AutoresetMode.SAME_STEP
-        step = self.decisions.step(decision_of(actions, self.world), begin=same_step)
+        decisions = torch.as_tensor(actions, dtype=torch.float32, device=self.world.device)
+        step = self.decisions.step(decisions, begin=same_step)
         active, observed = ~self._over, step.observation
         terminated, truncated = step.terminated & active, step.truncated & active
         infos: dict[str, Any] = {}

@@ -7,7 +7,7 @@ Sec. III-A. Arrays have a leading axis of E environments; angles in rad, the res
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -168,8 +168,3 @@ TASKS = {
     "pentagram": Task("pentagram", pentagram, waypoints=21, steps=6000),
 }
 """All tasks by name."""
-
-
-def shortened(task: Task, steps: int) -> Task:
-    """The task with another time limit, in control periods."""
-    return replace(task, steps=steps)

@@ -210,8 +210,8 @@ class Decisions:
         return self.observer.observe(raw)  # type: ignore[no-any-return]
 
     def step(self, action: Tensor, *, begin: bool = True) -> Step:
-        """Apply a decision (E, J) between -1 and 1; as ``World.step``, summed over its periods."""
-        self.observer.decide(action)
+        """Apply a decision (E, J), clipped to -1 and 1; as ``World.step``, summed over periods."""
+        self.observer.decide(action.clamp(-1.0, 1.0))
         total = self.world.step(self.observer.set_points(0), begin=False)
         for tick in range(1, self.view.period):
             step = self.world.step(self.observer.set_points(tick), begin=False)

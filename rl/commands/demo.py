@@ -32,7 +32,7 @@ from rl.experiments.named import controller_of
 from rl.make import make_world
 from rl.sac.plan import plan_of
 from rl.sac.train import hide_progress
-from rl.task import TASKS, shortened
+from rl.task import TASKS
 from rl.world import Draws
 from sim.commands.diagnose import write_all
 from sim.inference.calibration import Calibration, calibrate, calibration_section
@@ -220,8 +220,8 @@ def _swim(
     film = check_writable(options.out / "swim.gif")
     with _stage("swim", "the policy with all techniques, in the fluid"):
         world = make_world(
-            robot, shortened(TASKS["turn"], LONGEST), Draws((model,)), n_envs=1, fidelity="fluid",
-            seed=options.seed, threads=2,
+            robot, replace(TASKS["turn"], steps=LONGEST), Draws((model,)), n_envs=1,
+            fidelity="fluid", seed=options.seed, threads=2,
         )  # fmt: skip
         name = "trained in the twin, tested in the fluid"
         with Video(film) as video, Film(video, world, name, width=480) as watch:

@@ -144,7 +144,7 @@ def _numbers(values: object, count: int) -> Array | None:
     return None
 
 
-class Link:
+class Link(contextlib.AbstractContextManager["Link"]):
     """The computer's end, of a robot with J joints; ``strange`` counts unexpected datagrams."""
 
     def __init__(self, url: str, J: int, key: bytes | None = None) -> None:
@@ -186,9 +186,6 @@ class Link:
                     else:
                         telemetry.append(message)
         return telemetry
-
-    def __enter__(self) -> Link:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._socket.close()

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+from contextlib import AbstractContextManager
+from typing import Any
 
 import numpy as np
 import torch
@@ -48,7 +49,7 @@ class Reel(list[Picture]):
     add = list.append
 
 
-class Film:
+class Film(AbstractContextManager["Film"]):
     """The part of a video that shows one policy's first robot, from its next start on."""
 
     def __init__(
@@ -89,10 +90,6 @@ class Film:
             self._image = self.picture()
             self._video.add(self._image)
             self._taken += 1
-
-    def __enter__(self) -> Self:
-        """Return the film."""
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:  # noqa: ANN401
         """Repeat the last picture."""

@@ -6,6 +6,7 @@ import inspect
 import json
 import shutil
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -193,13 +194,13 @@ class InThisProcess(nullcontext):
 def test_demo_ends_in_a_page(short, tmp_path, capsys, monkeypatch):
     """With ten seconds of each recording, and the shipped agents in short trials."""
     demo = pytest.importorskip("rl.commands.demo", reason="no extra 'rl'")
-    from rl.task import TASKS, shortened
+    from rl.task import TASKS
     from sim.inference.coordinates import candidates
 
     out, data = tmp_path / "demo", short / "datasets"
     # in this process, where the trials are short; the slow test starts the second
     monkeypatch.setattr(demo, "ProcessPoolExecutor", InThisProcess)
-    monkeypatch.setitem(TASKS, "turn", shortened(TASKS["turn"], 40))
+    monkeypatch.setitem(TASKS, "turn", replace(TASKS["turn"], steps=40))
     monkeypatch.setattr(demo, "_DIAGNOSED", ("steps",))
     listed = candidates(demo.read_robot(data / "pool" / "robot.toml"))
     few = {one: free for one, free in listed.items() if one[0].startswith("skin")}

@@ -5,6 +5,7 @@ import json
 import pickle
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -20,7 +21,7 @@ from rl.commands.reproduce import RESULTS
 from rl.experiments.ablation import ARMS
 from rl.sac.checkpoint import COLUMNS
 from rl.sac.plan import RECIPES
-from rl.task import TASKS, shortened
+from rl.task import TASKS
 
 POOL = Path(__file__).resolve().parents[2] / "datasets" / "pool"
 FILES = ["--robot", str(POOL / "robot.toml"), "--model", str(POOL / "model.json")]
@@ -31,7 +32,7 @@ def test_a_policy_is_trained_and_evaluated(tmp_path, capsys, monkeypatch):
     few = ["--updates-per-step", "0.01", "--ranges", str(POOL / "ranges.json"), "--trials", "2"]
     with monkeypatch.context() as patch:
         for name, task in TASKS.items():  # the trials that choose the price and the best agent
-            patch.setitem(TASKS, name, shortened(task, 50))
+            patch.setitem(TASKS, name, replace(task, steps=50))
         assert main(["train", *FILES, *SMALL, *few, "--out", str(tmp_path / "run")]) == 1
     policy = tmp_path / "run" / "policy-0" / "policy.zip"
     said = capsys.readouterr().out
@@ -57,7 +58,7 @@ def test_what_the_paper_shows_is_one_command(tmp_path, capsys, monkeypatch):
     rows = [f"{k},70,{k / 100},0.5,90,0,0,0,0" for k in range(100, 1800, 100)]
     (agent / "progress.csv").write_text("\n".join([",".join(COLUMNS), *rows]) + "\n")
     for name, task in TASKS.items():
-        monkeypatch.setitem(TASKS, name, shortened(task, 60))
+        monkeypatch.setitem(TASKS, name, replace(task, steps=60))
     monkeypatch.chdir(POOL.parents[1])
     call = ["reproduce", *RESULTS, "--run", str(agent.parent), "--out", str(out), "--episodes", "2"]
     assert main(call) == 0

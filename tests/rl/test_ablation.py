@@ -24,7 +24,7 @@ from rl.experiments.reality import read_reality
 from rl.experiments.statistics import bootstrap, differences, paired, seeds_needed
 from rl.sac.plan import Settings
 from rl.sac.train import Plan, train
-from rl.task import TASKS, shortened
+from rl.task import TASKS
 from sim2real.ranges.entry import Ranges, normal, uniform
 from sim2real.robot import normalised_density
 from tests.rl.test_reality import GLIDER
@@ -40,7 +40,7 @@ RANGES = Ranges(
 )
 SETTINGS = Settings(hidden=(8, 8), memory=200, batch=8, warm_up=40, updates_per_step=0.1)
 SHORT = {"steps": 160, "envs": 4, "segment": 80, "fidelity": "twin", "seeds": (0, 1)}
-PLAN = Plan(shortened(TASKS["near"], 10), **SHORT, settings=SETTINGS)
+PLAN = Plan(replace(TASKS["near"], steps=10), **SHORT, settings=SETTINGS)
 
 NAMES = ("full", "no-servo")
 
@@ -85,7 +85,7 @@ def ablated(robot, model):
         return ablate(folder, robot, NAMES, agents, PLAN, places, repeats=3)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(TASKS, "turn", shortened(TASKS["turn"], 100))
+        patch.setitem(TASKS, "turn", replace(TASKS["turn"], steps=100))
         yield call
 
 

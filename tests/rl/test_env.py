@@ -3,6 +3,7 @@
 import re
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium
@@ -20,7 +21,7 @@ import rl  # noqa: F401 - it registers sim2real/Fish-v0
 from rl.env import FishEnv, FishVectorEnv
 from rl.make import FISH
 from rl.observer import PAPER, View
-from rl.task import TASKS, Task, shortened
+from rl.task import TASKS, Task
 from rl.vec_env import FishVecEnv
 from rl.world import Draws, Noise
 from sim2real.errors import InputError
@@ -139,7 +140,7 @@ def test_the_terms_of_the_reward_add_up_to_it(world_of):
 
 def test_stable_baselines_logs_the_success_rate(world_of):
     """Its own logger reads ``is_success`` where an episode ends, from one environment or many."""
-    task = shortened(TASKS["near"], 8)
+    task = replace(TASKS["near"], steps=8)
     one = stable_baselines3.common.monitor.Monitor(FishEnv(world_of(1, task)))
     for env in (one, FishVecEnv(world_of(3, task))):
         agent = stable_baselines3.SAC("MlpPolicy", env, learning_starts=1000)
@@ -149,7 +150,7 @@ def test_stable_baselines_logs_the_success_rate(world_of):
 
 def test_an_episode_begins_once(world_of):
     """The step that ends one draws no other: that is for ``reset`` to do."""
-    env = FishEnv(world_of(1, shortened(TASKS["near"], 12)))
+    env = FishEnv(world_of(1, replace(TASKS["near"], steps=12)))
     env.reset(seed=5)
     target = env.world.targets.clone()
     ends = [env.step(np.zeros(3, dtype=np.float32))[3] for _ in range(3)]
@@ -183,7 +184,7 @@ def test_a_batch_by_make_vec_is_gymnasiums_vector_environment():
 
 def test_the_next_step_begins_the_next_episode(world_of):
     """As Gymnasium's own vector environments: no action, no reward, the first observation."""
-    task = shortened(TASKS["near"], 12)
+    task = replace(TASKS["near"], steps=12)
     envs, same = (
         FishVectorEnv(world_of(3, task, seed=7), autoreset_mode=mode)
         for mode in ("NextStep", "SameStep")

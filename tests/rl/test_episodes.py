@@ -1,5 +1,7 @@
 """Swims: their figures, and a film with the robot, its way and its target on it."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ import pytest
 from rl.experiments.episodes import energy, path_length, run_episodes
 from rl.experiments.film import TARGET, Film
 from rl.experiments.named import controller_of
-from rl.task import TASKS, shortened
+from rl.task import TASKS
 from sim.view.video import FRAMES_PER_S, Video
 
 
@@ -26,7 +28,7 @@ def test_path_of_a_straight_line() -> None:
 
 def test_a_film_shows_the_whole_swim_and_the_target(world_of, tmp_path):
     path = tmp_path / "swim.avi"
-    world = world_of(2, shortened(TASKS["near"], 100), seed=1)
+    world = world_of(2, replace(TASKS["near"], steps=100), seed=1)
     with Video(path) as video, Film(video, world, "pnl", width=320) as film:
         run_episodes(world, controller_of("pnl", world.simulator.robot), watch=film)
     read = cv2.VideoCapture(str(path))

@@ -32,7 +32,7 @@ from rl.forecast.trials import (
     update,
 )
 from rl.make import draw_models, spread_of
-from rl.task import CONTROL_S, TASKS, shortened
+from rl.task import CONTROL_S, TASKS
 from sim.twin.law import FITTED
 from sim.twin.twin import Twin
 from sim2real.body import values
@@ -323,7 +323,7 @@ def test_an_inexact_simulator_changes_the_path_alone(robot, model):
 
 
 def test_an_interrupted_forecast_resumes_with_the_same_results(robot, model, tmp_path, monkeypatch):
-    rng, task = np.random.default_rng(9), shortened(TASKS["near"], 15)
+    rng, task = np.random.default_rng(9), replace(TASKS["near"], steps=15)
     drawn = draw_realities(robot, model, RANGES, sample(rng), 6, rng)
     policies = named_controllers([str(POLICY), "pnl"], robot)
     forecaster = Forecaster(robot, task, drawn, 2, 1, SimulationSettings(), at_once=3)

@@ -14,7 +14,7 @@ from rl.deploy.policy import PolicyController, read_npz
 from rl.observer import PAPER, Observer, View
 from rl.sac.plan import Settings
 from rl.sac.sac import make_sac
-from rl.task import TASKS, shortened
+from rl.task import TASKS
 from rl.world import Decisions, Draws, Noise
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
@@ -131,7 +131,7 @@ def test_a_policy_does_in_training_what_it_does_outside(trained, world_of, model
     """Decisions on the device, and NumPy at 50 Hz, on one noisy swim."""
     agent, policy = trained
     noise = Draws((model,), Noise(0.002, 0.01, (0.003,)))
-    task = shortened(TASKS["chain"], 400)
+    task = replace(TASKS["chain"], steps=400)
     decisions = Decisions(world_of(4, task, noise, seed=2), policy.view)
     outside = world_of(4, task, noise, seed=2)
     for one in (decisions.world, outside):

@@ -1,6 +1,7 @@
 """Realities of one's own: the file, the episodes in it, and that it shares nothing by accident."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from rl.experiments.episodes import energy, run_episodes
 from rl.experiments.reality import read_reality, real_world
 from rl.experiments.testbeds import Controllers, real
 from rl.make import make_world
-from rl.task import TASKS, Starts, shortened
+from rl.task import TASKS, Starts
 from rl.world import Draws
 from sim.twin.twin import Twin
 from sim2real.errors import InputError
@@ -137,7 +138,7 @@ def test_seen_from_outside_a_twin_does_as_in_a_world(robot, model):
             self.twin.step(desired)
             return self.look()
 
-    task = shortened(TURN, 120)
+    task = replace(TURN, steps=120)
     controller = PolicyController(random_policy())
     known = run_episodes(make_world(robot, task, Draws((model,)), n_envs=3, seed=4), controller)
     starts = Starts(known.pose[0], np.zeros((3, 3)), known.targets)

@@ -24,7 +24,7 @@ from rl.sac.checkpoint import COLUMNS, curves_figure, read_progress
 from rl.sac.plan import RECIPES, Settings, plan_of
 from rl.sac.sac import read_agent
 from rl.sac.train import Arm, Plan, train, train_in_parts, train_run
-from rl.task import TASKS, shortened
+from rl.task import TASKS
 from rl.world import Draws, Noise
 from sim2real.body import values
 from sim2real.errors import InputError
@@ -34,7 +34,7 @@ from sim2real.report.drawing import save_png
 POOL = Path(__file__).resolve().parents[2] / "datasets" / "pool"
 SETTINGS = Settings(hidden=(16, 16), memory=400, batch=16, warm_up=320, updates_per_step=0.1)
 SHORT = {"steps": 1920, "envs": 8, "segment": 640, "seeds": (0, 1), "fidelity": "twin"}
-PLAN = Plan(shortened(TASKS["near"], 40), **SHORT, settings=SETTINGS)
+PLAN = Plan(replace(TASKS["near"], steps=40), **SHORT, settings=SETTINGS)
 
 
 def arms(model):
@@ -219,7 +219,7 @@ def test_a_world_adopts_other_robots_at_resets(robot, model, world_of):
     """A robot drawn at a reset swims as one that was made so."""
     ranges = Ranges((uniform("j1.kp_Nm_per_rad", 0.6, 0.7, "", ""),))
     other = draw_models(model, ranges, robot, 1, np.random.default_rng(1))[0]
-    task = shortened(TASKS["turn"], 5)
+    task = replace(TASKS["turn"], steps=5)
     mixed = world_of(1, task, Draws((model,)), seed=3)
     mixed._draws = [Draws((other,))]
     mixed.seed(3)
@@ -340,8 +340,8 @@ def test_a_damaged_checkpoint_is_told_in_a_line(robot, model, tmp_path):
 def test_agents_are_chosen_by_held_out_trials(robot, model, tmp_path, monkeypatch):
     """The one that does better in the same trials, at one weight, whatever training said."""
     folders = train(tmp_path, robot, arms(model)[:1], PLAN)
-    monkeypatch.setitem(testbeds.TASKS, "turn", shortened(TASKS["turn"], 60))
-    monkeypatch.setitem(testbeds.TASKS, "mixed", shortened(TASKS["mixed"], 60))
+    monkeypatch.setitem(testbeds.TASKS, "turn", replace(TASKS["turn"], steps=60))
+    monkeypatch.setitem(testbeds.TASKS, "mixed", replace(TASKS["mixed"], steps=60))
     trials = DrawnTrials(robot, model, episodes=3)
     found = testbeds.held_out(trials, folders, 1e-3)
     scores = {name: rows["score"] for name, rows in found["agents"].items()}
@@ -366,7 +366,7 @@ def test_each_agent_swims_at_the_price_that_does_best(robot, model, tmp_path, mo
         set_price(agent, price)
         policies[price] = policy_of(agent)
     monkeypatch.setattr(testbeds, "PRICED", ("turn",))
-    monkeypatch.setitem(testbeds.TASKS, "turn", shortened(TASKS["turn"], 60))
+    monkeypatch.setitem(testbeds.TASKS, "turn", replace(TASKS["turn"], steps=60))
     monkeypatch.setattr(testbeds, "controller_of", lambda *_: PolicyController(policies[1.0]))
 
     trials = DrawnTrials(robot, model, episodes=2)
@@ -396,7 +396,7 @@ def test_trials_are_the_same_for_all(robot, model):
     ranges = Ranges((uniform("command_latency_s", 0.03, 0.09, "s", ""),))
     trials = DrawnTrials(robot, model, ranges, episodes=4)
     controllers = {name: controller_of("pnl", robot) for name in ("one", "other")}
-    swims = trials.run(shortened(TASKS["turn"], 80), controllers)
+    swims = trials.run(replace(TASKS["turn"], steps=80), controllers)
     one, other = swims["one"], swims["other"]
     assert np.allclose(one.pose, other.pose, atol=1e-6)
     assert np.ptp(one.rate[60].sum(axis=1)) > 1e-3, "robots differ from trial to trial"
