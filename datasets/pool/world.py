@@ -176,7 +176,7 @@ class World:
             bodies.push(self._forces(t + sub * self.h))
             bodies.step()
             self._drift += self.h * self._flow(t + sub * self.h)
-        self.swimmer._sponge()
+        self.swimmer.damp()
         self._periods += 1
 
     def swim(self, begin: Array, sent: Array) -> tuple[Array, Array, NDArray[np.bool_]]:

@@ -158,19 +158,17 @@ class Swimmer(Robots):
         self._launch(send, (self.n_envs, len(self.robot.joints)), sent)
         for _ in range(self.substeps):
             self.bodies.step(FREE)
+        self.damp()
+
+    def damp(self) -> None:
+        """Damp the water far from the robot, or keep the mass of a box with walls."""
         box, fluid = self.tank, self.fluid
-        if box.sponge:  # damp the water far from the robot
+        if box.sponge:
             reach = wp.vec2(*(side / 2 - box.sponge for side in box.size[:2]))
-            layer = [
-                fluid.f,
-                fluid.box,
-                self.bodies.grid.position,
-                reach,
-                float(box.sponge),
-                _SPONGE,
-            ]
-            self._launch(fluid.kernels.damp, self.n_envs * fluid.cells, layer)
-        elif self.bodies.wall.slip:  # keep the mass of a box with walls
+            layer = [self.bodies.grid.position, reach, float(box.sponge), _SPONGE]
+            cells = self.n_envs * fluid.cells
+            self._launch(fluid.kernels.damp, cells, [fluid.f, fluid.box, *layer])
+        elif self.bodies.wall.slip:
             fluid.level()
 
 

@@ -46,6 +46,9 @@ class Mismatch:
     """Share of the residual torque's variance that each state explains alone."""
     remainder: str = ""  # where that error is which the enriched model leaves, and what to record
 
+    def __str__(self) -> str:
+        return self.described(None)
+
     def described(self, remaining: float | None) -> str:
         """The error, that of the enriched model where there is one, and the noise.
 
