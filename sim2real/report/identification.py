@@ -1,4 +1,4 @@
-"""Identification section of a report: parameters, their intervals, fits."""
+"""Identification section of a report: parameters, their intervals, the response to a step."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -29,17 +29,21 @@ _LEAD = (
 _WHITE = 0.1
 """Lag-1 autocorrelation below which a residual counts as white."""
 _CORRELATED, _MOST_PAIRS = 0.3, 4
+_SETTLED = 0.005
+"""Overshoot of a step, as a share of it, below which there is hardly one."""
 
 
 def identification_section(model: Model, fits: Sequence[Fit]) -> Section:
     """Text, tables and plots of ``fits``: recording, joint, predicted rad, held-out mask (T,)."""
     blocks = model_blocks(model)
-    for name in model.joints:
+    for name, joint in model.joints.items():
         figures = model.fit.get(f"{name}.position_rad", {})
-        text, noise = "Its error is not known.", figures.get("noise")
+        text, noise = describe_response(name, joint), figures.get("noise")
+        if joint.effects:
+            text += " This does not include the effects of the model."
         error = figures.get("train") if (held := figures.get("heldout")) is None else held
         if error is not None and noise:
-            text = f"The error is {error / noise:.1f} times the noise."
+            text += f" The error is {error / noise:.1f} times the noise."
         blocks.append(Text(text, heading=name))
         for recording, _, predicted, heldout in (fit for fit in fits if fit[1] == name):
             panels, close_up = fit_panels(recording, name, predicted, heldout, noise)
@@ -124,3 +128,50 @@ def parameter_figure(model: Model) -> Drawing:
         panels[0].set_yticks(range(len(rows)), [printable(name)[:14] for name in model.joints])
         panels[0].set_ylim(len(rows) - 0.4, -0.6)
     return figure
+
+
+def step_response(joint: JointModel) -> Mapping[str, float]:
+    """Response of the PD servo, without further effects, to a small step; empty without stiffness.
+
+    With inertia I and the torque m g l of a horizontal pendulum, w^2 = (kp + m g l) / I, zeta = kd
+    / (2 I w) and overshoot exp(-pi zeta / sqrt(1 - zeta^2)) of the step, for small angles (K.
+    Ogata, Modern Control Engineering, section 5-3); ``half_time_s`` includes the latency.
+    """
+    gravity = joint.load.gravity_Nm if joint.load and not joint.per_inertia else 0.0
+    stiffness = joint.kp_Nm_per_rad + gravity
+    if stiffness <= 0:
+        return {}
+    from scipy.signal import step  # slow to load; tables of fits do not need it
+
+    frequency = math.sqrt(stiffness / joint.inertia_kgm2)
+    damping = joint.kd_Nms_per_rad / (2 * joint.inertia_kgm2 * frequency)
+    swing = math.sqrt(max(1 - damping**2, 0.0))
+    time = np.linspace(0.0, 4 + 4 * damping, 4001)  # in units of one over the frequency
+    _, rise = step(([1.0], [1.0, 2 * damping, 1.0]), T=time)
+    first = int(np.argmax(rise >= 0.5))
+    half = np.interp(0.5, rise[first - 1 : first + 1], time[first - 1 : first + 1])
+    return {
+        "natural_frequency_rad_s": frequency,
+        "damping_ratio": damping,
+        "half_time_s": joint.latency_s + float(half) / frequency,
+        "overshoot": math.exp(-math.pi * damping / swing) if swing else 0.0,
+    }
+
+
+def describe_response(name: str, joint: JointModel) -> str:
+    """One or two sentences on the response time and settling of ``name``."""
+    response = step_response(joint)
+    if not response:
+        return f"With kp at 0, {name} does not follow its command."
+    frequency, damping, half, overshoot = response.values()
+    settling = f"it overshoots a step by {100 * overshoot:.0f} %"
+    if damping == 0:
+        settling = "it oscillates and does not settle"
+    elif overshoot < _SETTLED:
+        settling = "it hardly overshoots" if overshoot else "it does not overshoot"
+    return (
+        f"{name} reaches half of a small step {1e3 * half:.0f} ms after it is sent, of which "
+        f"{1e3 * joint.latency_s:.0f} ms is latency. Its natural frequency is {frequency:.3g} "
+        f"rad/s ({frequency / (2 * math.pi):.2g} Hz) and its damping ratio {damping:.2f}: "
+        f"{settling}."
+    )

@@ -1,16 +1,18 @@
 import base64
 import hashlib
 import json
+import math
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from markup import Markup
+from scipy.signal import lti, step
 
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
-from sim2real.report.identification import identification_section
+from sim2real.report.identification import describe_response, identification_section, step_response
 from sim2real.report.page import (
     Figure,
     Film,
@@ -159,7 +161,7 @@ def test_section_has_tables_plots_sentences_and_notes(bench, section):
     kinds = [type(block).__name__ for block in section.blocks]
     assert kinds == ["Table", "Table", *["Note"] * 4, *["Text", "Figure"] * 3]
     words = [b.paragraph for b in section.blocks if isinstance(b, Text)]
-    assert words[0] == "The error is 2.3 times the noise."
+    assert "66 ms is latency" in words[0] and "2.3 times the noise" in words[0]
 
 
 def test_units_are_those_of_each_joint():
@@ -169,6 +171,34 @@ def test_units_are_those_of_each_joint():
     parameters, effects, *_ = section.blocks
     assert [row[3] for row in parameters.rows if row[1] == "kp"] == ["N m/rad", "1/s²"]
     assert effects.text == "b: backlash (gap_rad 0.03)"
+    assert "does not include the effects" in section.blocks[-1].paragraph
+
+
+@pytest.mark.parametrize("kd", [0.01, 0.06, 0.119, 2 * math.sqrt(2.0 * 0.002), 0.2, 5.0])
+def test_step_response_agrees_with_simulation(kd):
+    joint = JointModel(2.0, kd, 0.05, 0.002)
+    response = step_response(joint)
+    t, y = step(lti([2.0], [0.002, kd, 2.0]), T=np.linspace(0, 2, 40_001))
+    assert response["half_time_s"] == pytest.approx(0.05 + t[np.argmax(y >= 0.5)], abs=1e-4)
+    assert response["overshoot"] == pytest.approx(max(0.0, y.max() - 1), abs=1e-3)
+
+
+def test_a_pendulum_stiffens_the_servo():
+    free = JointModel(2.0, 0.06, 0.05, 0.02, load=Load(0.02))
+    hung = replace(free, load=Load(0.02, 0.5, 0.2))
+    hung_at, free_at = (step_response(x)["natural_frequency_rad_s"] for x in (hung, free))
+    ratio = hung_at / free_at
+    assert ratio**2 == pytest.approx(1 + 0.5 * 9.80665 * 0.2 / 2.0)
+
+
+def test_words_for_how_it_settles():
+    def words(kp, kd):
+        return describe_response("j1", JointModel(kp, kd, 0.05, 0.002))
+
+    assert "does not settle" in words(2.0, 0.0)
+    assert "overshoots a step by" in words(2.0, 0.06)
+    assert "does not overshoot" in words(2.0, 1.0)
+    assert "does not follow" in words(0.0, 0.06)
 
 
 def test_a_first_column_of_names_is_text_even_if_they_begin_with_a_digit():
