@@ -9,6 +9,7 @@ from itertools import compress
 import numpy as np
 
 from sim2real.effects import named
+from sim2real.identification.control_loop import undetected_loop
 from sim2real.identification.joint_fit import refitted
 from sim2real.identification.priors import MOTOR_SHEET, gains, of_effects
 from sim2real.identification.problem import Fit, ServoProblem
@@ -189,6 +190,17 @@ def on_motor(motor: Fit, spread: Uncertainty, servo: Servo) -> list[str]:
     notes = []
     if undetermined := [readable_name(name) for name in by_prior(motor, spread)]:
         notes.append(f"these recordings do not determine {', '.join(undetermined)}: the prior does")
+    loop = undetected_loop(motor)
+    if loop is not None:
+        period_s, loop_kp, loop_kd = loop
+        kp, kd = (float(x) for x in motor.row[:2])
+        notes.append(
+            "these recordings do not distinguish a control loop that is synchronous with their "
+            "samples from a continuous one, which is assumed: at "
+            f"{1 / period_s:.0f} Hz kp would be {loop_kp:.3g} instead of {kp:.3g} and "
+            f"kd {loop_kd:.3g} instead of {kd:.3g}; set-points sent at irregular times "
+            "distinguish them"
+        )
     if motor.law == "current_limited":
         stall = float(motor.row[LINE_COLUMNS[0]])
         notes.append(

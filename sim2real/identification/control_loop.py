@@ -76,6 +76,29 @@ def _searched(problem: ServoProblem, rows: Array, noise: tuple[float, float], st
     return best
 
 
+def undetected_loop(motor: Fit, *, synchronous: float = 0.95) -> tuple[float, float, float] | None:
+    """Period in s, kp and kd of the slowest sampled loop that is taken for a continuous one.
+
+    Its samples are synchronous with the set-points, whose mean phase vector is longer than
+    ``synchronous``: the wait is then equal for all set-points and equivalent to latency, and the
+    delay of the measurement is equivalent to other gains. None if set-points are sent at irregular
+    times, or if the fit has a loop.
+    """
+    if motor.row[_LOOP[0]] > 0:
+        return None
+    changes = [t.t[1:][np.diff(t.command) != 0] - t.t[0] for t in motor.problem.traces]
+    times = np.concatenate(changes)
+    if times.size < 2:
+        return None
+    sampling = float(np.median(np.concatenate([np.diff(t.t) for t in motor.problem.traces])))
+    for n in range(1, 1 + int(_RATES_HZ[1] * sampling)):
+        period = sampling / n
+        coherence = abs(np.exp(2j * np.pi * times / period).mean())
+        if coherence > synchronous and 1 / period >= _RATES_HZ[0]:
+            return period, *_equivalent_gains(motor, period)
+    return None
+
+
 def _arrivals(
     motor: Fit, *, most_steps: int = 60, least_step: float = 0.1, delay_sd_s: float = 0.004
 ) -> tuple[Array, Array, Array]:
@@ -145,22 +168,26 @@ def _rates(times: Array, spread: Array, *, count: int = 6) -> Array:
 def _starts(
     motor: Fit, period_s: float, sent: Array, delay: Array, spread: Array, *, count: int = 16
 ) -> Array:
-    """Servos (count, P) with a loop of this period and the arrivals' phase, of some latencies.
-
-    Their gains are equivalent to those of the fit without: a delay of half a period P makes the
-    torque kp (e + v P / 2) - (kd - b) (v - a P / 2) - b v, b from the back-EMF: less damping by the
-    first term, more inertia by the second.
-    """
+    """Servos (count, P) with a loop of this period and the arrivals' phase, of some latencies."""
     weight = np.exp(-2 * (np.pi * spread / period_s) ** 2)
     turn = np.angle((weight * np.exp(2j * np.pi * (sent + delay) / period_s)).sum())
     rows = np.tile(motor.row, (count, 1))
     shortest = float(np.median(delay)) - period_s * np.linspace(0, 1, count)
     rows[:, _LATENCY] = np.maximum(shortest, 0.0)
     rows[:, _LOOP] = period_s, (turn / (2 * np.pi) * period_s) % period_s
+    rows[:, [_KP, _KD]] = _equivalent_gains(motor, period_s)
+    return rows
+
+
+def _equivalent_gains(motor: Fit, period_s: float) -> tuple[float, float]:
+    """Gains kp, kd with a loop that are equivalent to those of the fit without.
+
+    A delay of half a period P makes the torque kp (e + v P / 2) - (kd - b) (v - a P / 2) - b v, b
+    from the back-EMF: less damping by the first term, more inertia by the second.
+    """
     half, line = 0.5 * period_s, motor.row[LINE_COLUMNS]
     kp, kd = (float(x) for x in motor.row[[_KP, _KD]])
     back_emf = line[0] / line[1] if line.all() else kd
     inertia = motor.inertia + float(motor.row[ROTOR_INERTIA])
     ratio = (1 + back_emf * half / inertia) / (1 + (kd + kp * half) * half / inertia)
-    rows[:, [_KP, _KD]] = ratio * kp, ratio * (kd + kp * half)
-    return rows
+    return ratio * kp, ratio * (kd + kp * half)

@@ -262,11 +262,18 @@ def test_a_loop_whose_looks_set_points_wait_for_is_found():
     assert model.fit["j1.position_rad"]["heldout"] < 1.2 * 5e-4
 
 
-def test_no_loop_is_found_where_there_is_none():
+@pytest.mark.parametrize("odd", [False, True])
+def test_a_loop_in_step_with_the_samples_is_said_not_to_be_told(odd):
     rng, t = np.random.default_rng(6), np.arange(1500) / 50.0
-    t[1:] += rng.uniform(-0.004, 0.004, t.size - 1)
+    if odd:
+        t[1:] += rng.uniform(-0.004, 0.004, t.size - 1)
     made = stepped(rng, t, lambda sent: rollout(row(**FAST)[None], t, sent)[0])
-    assert "loop_period_s" not in identify([made], bench(1.6, 1.6 / KD)).joints["j1"].motor
+    (joint,) = identify([made], bench(1.6, 1.6 / KD)).joints.values()
+    assert "loop_period_s" not in joint.motor
+    said = [note for note in joint.notes if "synchronous with their samples" in note]
+    assert len(said) == (0 if odd else 1)
+    if said:
+        assert "at 100 Hz" in said[0]
 
 
 def test_of_several_minima_the_one_with_the_best_neighbours_comes_first():
