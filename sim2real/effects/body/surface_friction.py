@@ -9,7 +9,8 @@ from sim2real.effects.body_effect import BodyEffect, Parameter
 EFFECT = BodyEffect(
     plain="an error of the skin friction",
     title="change of the skin friction coefficient of the surface",
-    by_material=True, order=5,
     parameters=(Parameter("coefficient", low=-0.1, high=0.3, typical=0.01),),
     adds=lambda robot, p, material: {"rough": p["coefficient"] * robot.made_of(material)},
-)  # fmt: skip
+    by_material=True,
+    order=5,
+)

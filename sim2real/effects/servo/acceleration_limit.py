@@ -33,6 +33,9 @@ def brake(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 EFFECT = Effect(
     plain="an acceleration limit of the set-point",
     says="the servo limits the acceleration of its set-point to {limit_rad_s2}",
-    site="command", term=brake, memory=3, order=1,
+    site="command",
+    term=brake,
     parameters=(Parameter("limit_rad_s2", low=0.6, high=10000.0, typical=60.0, starts=LIMITS),),
-)  # fmt: skip
+    memory=3,
+    order=1,
+)

@@ -18,9 +18,11 @@ EFFECT = Effect(
     plain="friction that differs by direction",
     says="Coulomb friction averages {torque_Nm} and is {asymmetry} larger than that in the "
     "{asymmetry:positive|negative} direction",
-    site="friction", term=bound, family="dry friction",
+    site="friction",
+    term=bound,
     parameters=(
         Parameter("torque_Nm", low=0.0, high=1.0, typical=0.05),
         Parameter("asymmetry", low=-1.0, high=1.0, typical=0.3, starts=(-2.0, 2.0)),
     ),
-)  # fmt: skip
+    family="dry friction",
+)

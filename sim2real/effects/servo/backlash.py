@@ -96,8 +96,8 @@ EFFECT = Effect(
         if p["output_friction_Nm"] > NEGLIGIBLE_NM
         else "the gear train has {gap_rad} of backlash"
     ),
-    site="motor", term=cross, memory=4, order=1, also=(("sensor", play), ("friction", hold)),
-    steady=True,
+    site="motor",
+    term=cross,
     parameters=(
         Parameter("gap_rad", low=0.0, high=0.3, typical=0.03),
         Parameter("rotor_inertia_kgm2", low=4e-5, high=0.02, typical=4e-4, starts=(1.0,)),
@@ -105,4 +105,8 @@ EFFECT = Effect(
         Parameter("control_on_output", low=0.0, high=1.0, typical=1.0, starts=(0.0, 0.5, 1.0)),
         Parameter("restitution", low=0.0, high=0.95, typical=0.5, starts=(0.0,)),
     ),
-)  # fmt: skip
+    memory=4,
+    order=1,
+    also=(("sensor", play), ("friction", hold)),
+    steady=True,
+)

@@ -17,6 +17,8 @@ EFFECT = Effect(
     plain="clock drift",
     says="the delay between set-point and response {s_per_s:grows|shrinks} by {s_per_s} of the "
     "elapsed time, as with clocks that drift apart",
-    site="arrival", term=drift, component="link",
+    site="arrival",
+    term=drift,
     parameters=(Parameter("s_per_s", low=-0.01, high=0.01, typical=0.001),),
-)  # fmt: skip
+    component="link",
+)

@@ -22,10 +22,12 @@ _PHASES = (0.0, 2.0944, -2.0944)
 EFFECT = Effect(
     plain="cogging torque",
     says="a torque ripple with an amplitude of {torque_Nm} repeats every {period_rad}",
-    site="load", term=ripple, everywhere=True,
+    site="load",
+    term=ripple,
     parameters=(
         Parameter("torque_Nm", low=0.0, high=0.5, typical=0.05, starts=(0.3,)),
         Parameter("period_rad", low=0.002, high=1.6, typical=0.2, starts=_PERIODS),
         Parameter("phase_rad", low=-6.3, high=6.3, typical=1.0, starts=_PHASES),
     ),
-)  # fmt: skip
+    everywhere=True,
+)

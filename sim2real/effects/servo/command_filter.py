@@ -24,6 +24,10 @@ def smooth(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
 EFFECT = Effect(
     plain="a filter on the set-point",
     says="the servo low-pass filters its set-point with a time constant of {time_constant_s}",
-    site="command", term=smooth, memory=2, order=2, family="filter",
+    site="command",
+    term=smooth,
     parameters=(Parameter("time_constant_s", low=0.0003, high=0.5, typical=0.03),),
-)  # fmt: skip
+    memory=2,
+    order=2,
+    family="filter",
+)

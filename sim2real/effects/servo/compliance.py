@@ -69,7 +69,8 @@ EFFECT = Effect(
         "motor and load are coupled by a spring with a compliance of {compliance_rad_per_Nm}; "
         + f"the sensor measures the {'load' if p['sensor_on_output'] > 0.5 else 'motor'}"
     ),
-    site="motor", term=soften, memory=3, also=(("sensor", twist),), steady=True,
+    site="motor",
+    term=soften,
     parameters=(
         Parameter("compliance_rad_per_Nm", low=0.0, high=0.15, typical=0.02),
         Parameter("rotor_inertia_kgm2", low=4e-5, high=0.02, typical=4e-4, starts=(1.0,)),
@@ -77,4 +78,7 @@ EFFECT = Effect(
         Parameter("control_on_output", low=0.0, high=1.0, typical=1.0, starts=(0.0,)),
         Parameter("damping_ratio", low=0.005, high=2.0, typical=0.05, starts=(1.0,)),
     ),
-)  # fmt: skip
+    memory=3,
+    also=(("sensor", twist),),
+    steady=True,
+)

@@ -18,6 +18,8 @@ def bound(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 EFFECT = Effect(
     plain="Coulomb friction",
     says="Coulomb friction of {torque_Nm} acts on the shaft",
-    site="friction", term=bound, family="dry friction",
+    site="friction",
+    term=bound,
     parameters=(Parameter("torque_Nm", low=0.0, high=1.0, typical=0.05),),
-)  # fmt: skip
+    family="dry friction",
+)

@@ -27,9 +27,10 @@ EFFECT = Effect(
         "the controller ignores position errors below {halfwidth_rad}"
         + (", and acts on the whole error above" if p.get("step_share", 0) > SWITCHES_FROM else "")
     ),
-    site="error", term=ignore,
+    site="error",
+    term=ignore,
     parameters=(
         Parameter("halfwidth_rad", low=0.0, high=0.1, typical=0.01),
         Parameter("step_share", low=0.0, high=1.0, typical=1.0, starts=(0.0, 1.0)),
     ),
-)  # fmt: skip
+)

@@ -14,6 +14,10 @@ def count(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 EFFECT = Effect(
     plain="coarse quantization of the angle sensor",
     says="the angle sensor has a resolution of {step_rad}, coarser than the data sheet states",
-    site="sensor", term=count, order=5, fitted=False, steady=True,
+    site="sensor",
+    term=count,
     parameters=(Parameter("step_rad", low=0.0, high=0.1, typical=0.00419),),
-)  # fmt: skip
+    order=5,
+    fitted=False,
+    steady=True,
+)

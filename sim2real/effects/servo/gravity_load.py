@@ -18,6 +18,9 @@ EFFECT = Effect(
     plain="a weight missing from the stated load",
     says="a gravity torque of up to {torque_Nm}, missing from the stated load, pulls the shaft "
     "{torque_Nm:towards|away from} 0°",
-    site="load", term=pendulum, either_sign=True, load="gravity_Nm",
+    site="load",
+    term=pendulum,
     parameters=(Parameter("torque_Nm", low=-2.0, high=2.0, typical=0.1),),
-)  # fmt: skip
+    either_sign=True,
+    load="gravity_Nm",
+)

@@ -18,6 +18,9 @@ def integral(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row,
 EFFECT = Effect(
     plain="integral action of the controller",
     says="the controller has integral action with a gain of {ki_Nm_per_rad_s}",
-    site="motor", term=integral, memory=1, order=-1,
+    site="motor",
+    term=integral,
     parameters=(Parameter("ki_Nm_per_rad_s", low=0.0, high=50.0, typical=2.0),),
-)  # fmt: skip
+    memory=1,
+    order=-1,
+)

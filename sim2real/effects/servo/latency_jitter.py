@@ -20,7 +20,11 @@ def scatter(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, 
 EFFECT = Effect(
     plain="latency jitter",
     says="set-points arrive up to {halfwidth_s} before or after the mean latency",
-    site="arrival", term=scatter, component="link", order=1, fitted=False,
-    mimics=("rate_limit", "torque_saturation"),
+    site="arrival",
+    term=scatter,
     parameters=(Parameter("halfwidth_s", low=0.0, high=0.1, typical=0.01),),
-)  # fmt: skip
+    component="link",
+    order=1,
+    fitted=False,
+    mimics=("rate_limit", "torque_saturation"),
+)

@@ -33,9 +33,10 @@ EFFECT = Effect(
             else ""
         )
     ),
-    site="friction", term=bound,
+    site="friction",
+    term=bound,
     parameters=(
         Parameter("ratio", low=0.0, high=0.9, typical=0.2),
         Parameter("fading_s_per_rad", low=0.0, high=5.0, typical=0.5, starts=(0.0, 1.0)),
     ),
-)  # fmt: skip
+)

@@ -21,6 +21,10 @@ def lose(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: 
 EFFECT = Effect(
     plain="lost set-points",
     says="{probability} of the set-points are lost",
-    site="arrival", term=lose, component="link", order=2, fitted=False,
+    site="arrival",
+    term=lose,
     parameters=(Parameter("probability", low=0.0, high=1.0, typical=0.05),),
-)  # fmt: skip
+    component="link",
+    order=2,
+    fitted=False,
+)

@@ -28,10 +28,13 @@ EFFECT = Effect(
     plain="presliding friction",
     says="Coulomb friction of {torque_Nm} acts as a spring of {stiffness_Nm_per_rad} "
     "before it slips",
-    site="load", term=bristle, memory=1, family="dry friction",
+    site="load",
+    term=bristle,
     parameters=(
         Parameter("torque_Nm", low=0.0, high=1.0, typical=0.05),
         Parameter("stiffness_Nm_per_rad", low=0.1, high=200.0, typical=10.0),
         Parameter("damping_ratio", low=0.0, high=2.0, typical=0.5, starts=(1.0,)),
     ),
-)  # fmt: skip
+    memory=1,
+    family="dry friction",
+)

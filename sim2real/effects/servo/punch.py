@@ -24,9 +24,11 @@ def punched(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, 
 EFFECT = Effect(
     plain="a minimum drive added by the firmware",
     says="the firmware adds {torque_Nm} to the drive at position errors beyond {width_rad}",
-    site="error", term=punched, order=1,
+    site="error",
+    term=punched,
     parameters=(
         Parameter("torque_Nm", low=0.0, high=1.0, typical=0.1),
         Parameter("width_rad", low=2e-4, high=0.02, typical=1.5e-3),
     ),
-)  # fmt: skip
+    order=1,
+)

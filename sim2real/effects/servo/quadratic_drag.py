@@ -16,6 +16,7 @@ def drag(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: 
 EFFECT = Effect(
     plain="quadratic drag",
     says="a drag torque of {coefficient_Nms2} times the squared speed opposes the motion",
-    site="load", term=drag,
+    site="load",
+    term=drag,
     parameters=(Parameter("coefficient_Nms2", low=0.0, high=0.5, typical=0.01),),
-)  # fmt: skip
+)

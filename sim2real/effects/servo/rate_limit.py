@@ -23,6 +23,8 @@ def ramp(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: 
 EFFECT = Effect(
     plain="a rate limit of the set-point",
     says="the servo limits the speed of its set-point to {limit_rad_s}",
-    site="command", term=ramp, memory=2,
+    site="command",
+    term=ramp,
     parameters=(Parameter("limit_rad_s", low=0.03, high=500.0, typical=3.0, starts=LIMITS),),
-)  # fmt: skip
+    memory=2,
+)

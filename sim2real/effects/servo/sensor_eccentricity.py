@@ -39,10 +39,16 @@ EFFECT = Effect(
     plain="eccentricity of the angle sensor",
     says="the error of the angle sensor has an amplitude of {amplitude_rad} and "
     "repeats every {period_rad}",
-    site="sensor", term=wave, memory=3, order=2, everywhere=True, never_named=True, steady=True,
+    site="sensor",
+    term=wave,
     parameters=(
         Parameter("amplitude_rad", low=0.0, high=0.03, typical=0.005, starts=(0.002,)),
         Parameter("period_rad", low=0.2, high=7.0, typical=0.5, starts=_PERIODS),
         Parameter("phase_rad", low=-6.3, high=6.3, typical=1.0, starts=_PHASES),
     ),
-)  # fmt: skip
+    memory=3,
+    order=2,
+    everywhere=True,
+    never_named=True,
+    steady=True,
+)

@@ -24,6 +24,10 @@ def smooth(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
 EFFECT = Effect(
     plain="a filter on the measured angle",
     says="the measured angle is low-pass filtered with a time constant of {time_constant_s}",
-    site="sensor", term=smooth, memory=3, order=4, family="filter",
+    site="sensor",
+    term=smooth,
     parameters=(Parameter("time_constant_s", low=0.0002, high=0.5, typical=0.02),),
-)  # fmt: skip
+    memory=3,
+    order=4,
+    family="filter",
+)

@@ -15,6 +15,9 @@ def scale(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 EFFECT = Effect(
     plain="a gain error of the angle sensor",
     says="the angle sensor reads {gain} too {gain:large|small}",
-    site="sensor", term=scale, order=2, steady=True,
+    site="sensor",
+    term=scale,
     parameters=(Parameter("gain", low=-0.5, high=0.5, typical=0.02),),
-)  # fmt: skip
+    order=2,
+    steady=True,
+)

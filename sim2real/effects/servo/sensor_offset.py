@@ -14,6 +14,9 @@ def shift(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 EFFECT = Effect(
     plain="an offset of the angle sensor",
     says="the angle sensor reads {offset_rad} too {offset_rad:high|low}",
-    site="sensor", term=shift, order=3, steady=True,
+    site="sensor",
+    term=shift,
     parameters=(Parameter("offset_rad", low=-0.5, high=0.5, typical=0.02),),
-)  # fmt: skip
+    order=3,
+    steady=True,
+)

@@ -27,10 +27,13 @@ EFFECT = Effect(
         if p["breakaway_Nm"] > p["torque_Nm"]
         else "Coulomb friction of {torque_Nm} acts on the shaft"
     ),
-    site="friction", term=bound, family="dry friction", ascending=("torque_Nm", "breakaway_Nm"),
+    site="friction",
+    term=bound,
     parameters=(
         Parameter("torque_Nm", low=0.0, high=1.0, typical=0.05),
         Parameter("breakaway_Nm", low=0.0, high=2.0, typical=0.1),
         Parameter("velocity_rad_s", low=0.003, high=5.0, typical=0.3),
     ),
-)  # fmt: skip
+    family="dry friction",
+    ascending=("torque_Nm", "breakaway_Nm"),
+)

@@ -19,6 +19,9 @@ EFFECT = Effect(
     plain="a discharging battery",
     says="the supply voltage, and the motor torque with it, {loss_per_min:falls|rises} by "
     "{loss_per_min}",
-    site="motor", term=droop, component="supply", order=1,
+    site="motor",
+    term=droop,
     parameters=(Parameter("loss_per_min", low=-0.5, high=0.5, typical=0.1),),
-)  # fmt: skip
+    component="supply",
+    order=1,
+)

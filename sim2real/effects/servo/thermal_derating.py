@@ -24,9 +24,12 @@ def weaken(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
 EFFECT = Effect(
     plain="thermal derating of the motor",
     says="the motor loses up to {loss} of its torque as it heats up",
-    site="motor", term=weaken, memory=1, order=1,
+    site="motor",
+    term=weaken,
     parameters=(
         Parameter("loss", low=0.0, high=0.9, typical=0.4),
         Parameter("warm_torque_Nm", low=0.02, high=2.0, typical=0.2),
     ),
-)  # fmt: skip
+    memory=1,
+    order=1,
+)

@@ -17,6 +17,8 @@ EFFECT = Effect(
     plain="a motor torque that differs by direction",
     says="the motor torque is {asymmetry} larger in the "
     "{asymmetry:positive direction than in the negative|negative direction than in the positive}",
-    site="motor", term=favour, order=1,
+    site="motor",
+    term=favour,
     parameters=(Parameter("asymmetry", low=-1.0, high=1.0, typical=0.2),),
-)  # fmt: skip
+    order=1,
+)

@@ -21,9 +21,11 @@ def clip(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: 
 EFFECT = Effect(
     plain="a torque limit below the data sheet's",
     says="the motor torque is limited to {limit_Nm}",
-    site="motor", term=clip, order=2,
+    site="motor",
+    term=clip,
     parameters=(
         Parameter("limit_Nm", low=0.005, high=20.0, typical=0.5, starts=LIMITS),
         Parameter("free_damping", low=0.0, high=1.0, typical=1.0, starts=(0.05, 0.95)),
     ),
-)  # fmt: skip
+    order=2,
+)

@@ -19,6 +19,9 @@ EFFECT = Effect(
     plain="inertia missing from the stated load",
     says="the stated load inertia is {inertia_kgm2} too "
     "{inertia_kgm2:small for the load and its rotor|large}",
-    site="inertia", term=rotor, either_sign=True, load="inertia_kgm2",
+    site="inertia",
+    term=rotor,
     parameters=(Parameter("inertia_kgm2", low=-0.0018, high=0.04, typical=0.001),),
-)  # fmt: skip
+    either_sign=True,
+    load="inertia_kgm2",
+)

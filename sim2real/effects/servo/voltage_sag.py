@@ -21,6 +21,10 @@ def sag(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: i
 EFFECT = Effect(
     plain="a supply voltage that sags under load",
     says="the supply voltage sags and costs {loss_at_full_load} of the motor torque at full load",
-    site="motor", term=sag, component="supply", order=1, mimics=("torque_saturation",),
+    site="motor",
+    term=sag,
     parameters=(Parameter("loss_at_full_load", low=0.0, high=0.5, typical=0.2),),
-)  # fmt: skip
+    component="supply",
+    order=1,
+    mimics=("torque_saturation",),
+)
