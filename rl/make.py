@@ -126,11 +126,19 @@ def world_of(
 
 
 def make_world(
-    robot: Robot, task: Task, draws: Draws | Sequence[Draws], *, n_envs: int,
-    fidelity: Fidelity = "twin", device: str = "cpu", cell_m: float = 0.02, seed: int = 0,
-    threads: int = 1, around: Callable[[Simulator], Simulator] = lambda simulator: simulator,
+    robot: Robot,
+    task: Task,
+    draws: Draws | Sequence[Draws],
+    *,
+    n_envs: int,
+    fidelity: Fidelity = "twin",
+    device: str = "cpu",
+    cell_m: float = 0.02,
+    seed: int = 0,
+    threads: int = 1,
+    around: Callable[[Simulator], Simulator] = lambda simulator: simulator,
     **options: Any,  # noqa: ANN401 - those of Twin or Swimmer
-) -> World:  # fmt: skip
+) -> World:
     """A world of robots in the fluid or in its twin; arguments as for ``World`` and ``world_of``.
 
     On CUDA all work goes to PyTorch's current stream, which must not be the default one: see
@@ -173,9 +181,13 @@ def noise_of(ranges: Ranges, joints: Sequence[str]) -> Noise:
 
 
 def draw_models(
-    model: Model, ranges: Ranges, robot: Robot, n: int, rng: np.random.Generator,
+    model: Model,
+    ranges: Ranges,
+    robot: Robot,
+    n: int,
+    rng: np.random.Generator,
     sample: JointSample | None = None,
-) -> list[Model]:  # fmt: skip
+) -> list[Model]:
     """Models for n episodes: values drawn from each range, or rows of a posterior ``sample``."""
     model = with_density(model, robot)
     links = [link.name for link in robot.links]

@@ -226,11 +226,21 @@ def make_dqn(env: VecEnv, seed: int) -> GaitDQN:
 
 
 def train_run(
-    folder: Path, *, robot: str, model: str, ranges: str | None = None, task: str = "point",
-    steps: int = 1_000_000, envs: int = 32, seeds: Sequence[int] = (0,),
-    fidelity: Fidelity = "twin", device: str = "cpu", cell_m: float = 0.02, threads: int = 1,
+    folder: Path,
+    *,
+    robot: str,
+    model: str,
+    ranges: str | None = None,
+    task: str = "point",
+    steps: int = 1_000_000,
+    envs: int = 32,
+    seeds: Sequence[int] = (0,),
+    fidelity: Fidelity = "twin",
+    device: str = "cpu",
+    cell_m: float = 0.02,
+    threads: int = 1,
     energy_weight: float | None = None,
-) -> list[Path]:  # fmt: skip
+) -> list[Path]:
     """Train an agent for each seed in turn, unless finished before; the folders of the agents."""
     for option, value in (("--steps", steps), ("--envs", envs)):
         check_whole("train", option, value, 1)

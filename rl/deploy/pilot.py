@@ -150,9 +150,12 @@ class Pilot:
 
 
 def swim(
-    link: Link, pilot: Pilot, *, interrupted: Callable[[], bool] = lambda: False,
+    link: Link,
+    pilot: Pilot,
+    *,
+    interrupted: Callable[[], bool] = lambda: False,
     progress: Callable[[float], object] = lambda _: None,
-) -> Track | None:  # fmt: skip
+) -> Track | None:
     """Drive the robot until the pilot has finished; finally, and after any error, send it to rest.
 
     Telemetry is answered at once. ``interrupted`` says whether the user has asked to stop,

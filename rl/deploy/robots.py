@@ -197,9 +197,14 @@ class BusRobot(Received):
     """Servos on a bus, and the pose that a tracker sends; see ``bus_robot`` for the arguments."""
 
     def __init__(
-        self, bus: Bus, mountings: Sequence[Mounting], rest: Array, poses: Poses,
-        hottest_C: float, key: bytes | None,
-    ) -> None:  # fmt: skip
+        self,
+        bus: Bus,
+        mountings: Sequence[Mounting],
+        rest: Array,
+        poses: Poses,
+        hottest_C: float,
+        key: bytes | None,
+    ) -> None:
         limits = np.array([mounting.joint.limits_rad for mounting in mountings])
         super().__init__(rest, limits, key)
         self.stopped: str | None = None
@@ -232,9 +237,15 @@ class BusRobot(Received):
 
 @contextmanager
 def bus_robot(
-    connection: Connection, mountings: Sequence[Mounting], rest: Array, poses: str, *,
-    hottest_C: float, interrupted: Callable[[], bool], key: bytes | None = None,
-) -> Iterator[tuple[str, BusRobot]]:  # fmt: skip
+    connection: Connection,
+    mountings: Sequence[Mounting],
+    rest: Array,
+    poses: str,
+    *,
+    hottest_C: float,
+    interrupted: Callable[[], bool],
+    key: bytes | None = None,
+) -> Iterator[tuple[str, BusRobot]]:
     """Context manager that moves the servos to rest and serves them; returns URL and robot.
 
     In the end they are released, and what was changed in them is restored, or ``Stopped`` raised.

@@ -88,9 +88,13 @@ def model_of(
 
 
 def arm_of(
-    name: str, model: Model, robot: Robot, ranges: Ranges, enriched: Model | None = None,
+    name: str,
+    model: Model,
+    robot: Robot,
+    ranges: Ranges,
+    enriched: Model | None = None,
     reality: Model | None = None,
-) -> Arm:  # fmt: skip
+) -> Arm:
     """An arm of ``ARMS`` to train, without the ranges of techniques that it does not use."""
     techniques = ARMS[name]
     if name == "ceiling":
@@ -113,9 +117,16 @@ def arm_of(
 
 
 def ablate(
-    folder: Path, robot: Robot, arms: Sequence[str], agents: Sequence[Path], plan: Plan,
-    testbeds: Sequence[Testbed], *, repeats: int = 5, seed: int = 0,
-) -> dict[str, Any]:  # fmt: skip
+    folder: Path,
+    robot: Robot,
+    arms: Sequence[str],
+    agents: Sequence[Path],
+    plan: Plan,
+    testbeds: Sequence[Testbed],
+    *,
+    repeats: int = 5,
+    seed: int = 0,
+) -> dict[str, Any]:
     """Test the agents of all arms; each testbed writes a file, and is skipped if it is up to date.
 
     ``agents`` are folders: all seeds of the first arm, then those of the next. ``repeats`` are

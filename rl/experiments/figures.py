@@ -129,9 +129,13 @@ def paths_figure(
 
 
 def _panels(
-    ways: Mapping[str, Sequence[Way]], label: str, height: float,
-    mark: Callable[[Any, str], None], *, shared: bool,
-) -> Figure:  # fmt: skip
+    ways: Mapping[str, Sequence[Way]],
+    label: str,
+    height: float,
+    mark: Callable[[Any, str], None],
+    *,
+    shared: bool,
+) -> Figure:
     """A panel for each name, with what ``mark`` adds to its axes."""
     rows, columns = -(-len(ways) // 2), min(2, len(ways))
     with new_figure(rows * height + 20, label) as figure:

@@ -76,9 +76,14 @@ class Controllers:
 
 
 def trials_of(
-    swim: Callable[..., Episodes], controllers: Sequence[Controller], robot: Robot, task: Task,
-    repeats: int, seed: int, watcher: Watcher = unwatched,
-) -> list[Episodes]:  # fmt: skip
+    swim: Callable[..., Episodes],
+    controllers: Sequence[Controller],
+    robot: Robot,
+    task: Task,
+    repeats: int,
+    seed: int,
+    watcher: Watcher = unwatched,
+) -> list[Episodes]:
     """``repeats`` episodes of each controller, with the same starts for all; see ``Testbed``."""
     placed = task.place(np.random.default_rng(seed), repeats, len(robot.joints))
     K, who = len(controllers), Controllers(controllers, repeats)
@@ -88,11 +93,18 @@ def trials_of(
 
 
 def simulate(
-    who: Controller, robot: Robot, task: Task, starts: Starts, seed: int,
-    watcher: Watcher = unwatched, *,
-    draws: Sequence[Draws], settings: SimulationSettings, name: str,
+    who: Controller,
+    robot: Robot,
+    task: Task,
+    starts: Starts,
+    seed: int,
+    watcher: Watcher = unwatched,
+    *,
+    draws: Sequence[Draws],
+    settings: SimulationSettings,
+    name: str,
     **options: Any,  # noqa: ANN401
-) -> Episodes:  # fmt: skip
+) -> Episodes:
     """One episode of each robot in the fluid or the twin; ``options`` are of ``make_world``."""
     with own_stream(settings.device):
         world = make_world(

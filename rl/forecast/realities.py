@@ -199,9 +199,15 @@ class Realities:
 
 
 def draw_realities(
-    robot: Robot, model: Model, ranges: Ranges, sample: JointSample, n: int,
-    rng: np.random.Generator, *, diagnosed: Diagnosed | None = None,
-) -> Realities:  # fmt: skip
+    robot: Robot,
+    model: Model,
+    ranges: Ranges,
+    sample: JointSample,
+    n: int,
+    rng: np.random.Generator,
+    *,
+    diagnosed: Diagnosed | None = None,
+) -> Realities:
     """Draw n realities, with the noise of the ranges.
 
     Velocities and energy of a calibrated body have the relative error of the twin; a body that was

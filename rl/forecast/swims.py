@@ -46,9 +46,13 @@ class Forecaster:
     at_once: int = 50  # realities in a batch
 
     def swim(
-        self, controllers: Mapping[str, Controller], *, file: Path | None = None, key: str = "",
+        self,
+        controllers: Mapping[str, Controller],
+        *,
+        file: Path | None = None,
+        key: str = "",
         progress: Progress = lambda share: None,
-    ) -> dict[str, Array]:  # fmt: skip
+    ) -> dict[str, Array]:
         """Run all K policies in all N realities; trials in ``file`` with the same ``key`` are kept.
 
         The result: each of ``FIGURES``, (K, N, T); of the first trial in the first twenty realities

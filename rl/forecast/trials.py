@@ -240,9 +240,12 @@ def shares_of(
 
 
 def ranked(
-    names: Sequence[str], parameters: Array, figures: Mapping[str, Array], weights: Array,
+    names: Sequence[str],
+    parameters: Array,
+    figures: Mapping[str, Array],
+    weights: Array,
     joints: Sequence[str],
-) -> list[Measurement]:  # fmt: skip
+) -> list[Measurement]:
     """Measurements that narrow most first, by parameters (N, P) and a policy's figures (N, T)."""
     kinds = [group_of(name, joints) for name in names]
     how = dict(kinds)
@@ -305,9 +308,12 @@ class TrainingRange:
 
 
 def training_ranges(
-    names: Sequence[str], parameters: Array, values: Array, weights: Array,
+    names: Sequence[str],
+    parameters: Array,
+    values: Array,
+    weights: Array,
     trained: Mapping[str, Sequence[float]] | None,
-) -> list[TrainingRange]:  # fmt: skip
+) -> list[TrainingRange]:
     """Ranges of the next training: parameters with at least 1 % of the variance, most first.
 
     ``values`` are of the figure that policies are ranked by, shape (N, T), ``trained`` quantiles of

@@ -217,9 +217,14 @@ class Agents:
         return self._policy(observation, noise)[1]
 
     def remember(
-        self, observation: Tensor, action: Tensor, gain: Tensor, effort: Tensor,
-        following: Tensor, done: Tensor,
-    ) -> None:  # fmt: skip
+        self,
+        observation: Tensor,
+        action: Tensor,
+        gain: Tensor,
+        effort: Tensor,
+        following: Tensor,
+        done: Tensor,
+    ) -> None:
         """Store n transitions of each agent, arrays of shape (A, n, ...)."""
         n, N = observation.shape[1], self.settings.memory
         rewards = torch.stack([gain, effort], dim=2)

@@ -46,11 +46,20 @@ Report = Callable[[str, dict[str, float]], None]
 
 
 def train_run(
-    folder: Path, *, robot: str, model: str, ranges: str | None = None,
-    seeds: Sequence[int] = (0,), first: Sequence[str] = (), fidelity: Fidelity = "twin",
-    device: str = "cpu", cell_m: float = 0.02, threads: int = 1, report: Report | None = None,
+    folder: Path,
+    *,
+    robot: str,
+    model: str,
+    ranges: str | None = None,
+    seeds: Sequence[int] = (0,),
+    first: Sequence[str] = (),
+    fidelity: Fidelity = "twin",
+    device: str = "cpu",
+    cell_m: float = 0.02,
+    threads: int = 1,
+    report: Report | None = None,
     **options: Any,  # noqa: ANN401
-) -> list[Path]:  # fmt: skip
+) -> list[Path]:
     """Train one arm from files and JSON ``options`` of ``plan_of``; the folders of the agents.
 
     With several seeds on a CPU, which are trained in several processes, ``report`` must be a
@@ -67,10 +76,15 @@ def train_run(
 
 
 def train(
-    folder: Path, robot: Robot, arms: Sequence[Arm], plan: Plan,
-    note: dict[str, Any] | None = None, *, first: Sequence[Path] = (),
+    folder: Path,
+    robot: Robot,
+    arms: Sequence[Arm],
+    plan: Plan,
+    note: dict[str, Any] | None = None,
+    *,
+    first: Sequence[Path] = (),
     report: Report | None = None,
-) -> list[Path]:  # fmt: skip
+) -> list[Path]:
     """Train an agent for each arm and seed, all in one batch of robots.
 
     The folder gets ``run.json`` with ``note``, the provenance, ``checkpoint.npz`` and, for each
@@ -94,10 +108,15 @@ def train(
 
 
 def train_in_parts(
-    folder: Path, robot: Robot, arms: Sequence[Arm], plan: Plan,
-    note: dict[str, Any] | None = None, *, first: Sequence[Path] = (),
+    folder: Path,
+    robot: Robot,
+    arms: Sequence[Arm],
+    plan: Plan,
+    note: dict[str, Any] | None = None,
+    *,
+    first: Sequence[Path] = (),
     report: Report | None = None,
-) -> list[Path]:  # fmt: skip
+) -> list[Path]:
     """Train as ``train`` does in two processes, with every second seed: ``part-0``, ``part-1``.
 
     With one robot per agent each seed is a part of its own, as batches then save no time.
@@ -169,9 +188,14 @@ class Training:
     """Agents that learn in one world; arguments as of ``train``."""
 
     def __init__(
-        self, folder: Path, robot: Robot, arms: Sequence[Arm], plan: Plan, first: Sequence[Path],
+        self,
+        folder: Path,
+        robot: Robot,
+        arms: Sequence[Arm],
+        plan: Plan,
+        first: Sequence[Path],
         report: Report | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.folder, self.plan, self.report = folder, plan, report
         self.names = agent_names(arms, plan.seeds)
         S, A, self.swims = len(plan.seeds), len(self.names), bool(first)

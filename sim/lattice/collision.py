@@ -58,9 +58,15 @@ def collision(lattice: Lattice, wide: bool) -> tuple[Any, Any, Any]:
 
     @wp.func
     def rates(
-        p: Vector, rest: float, m: wp.vec3, inv: float, tau: float, magic: float, square: float,
+        p: Vector,
+        rest: float,
+        m: wp.vec3,
+        inv: float,
+        tau: float,
+        magic: float,
+        square: float,
         more: float,
-    ) -> wp.vec2:  # fmt: skip
+    ) -> wp.vec2:
         """Rates of the even and the odd part; ``more`` is added to the relaxation time."""
         above = subgrid_tau(p, rest, m, inv, tau, square) - 0.5 + more
         return wp.vec2(1.0 / (above + 0.5), above / (0.5 * above + magic))

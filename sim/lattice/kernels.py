@@ -68,10 +68,17 @@ def kernels(lattice: Lattice, wide: bool, cuda: bool) -> Any:  # noqa: ANN401 - 
         module_options={"fast_math": cuda},  # on a CPU this would remove the test for NaN
     )
     def step(
-        f: Stored, box: Box, first: int, tau: wp.array(dtype=wp.float32),
-        rates: wp.array(dtype=wp.vec2), magic: float, square: float, driven: int,
-        drive: wp.array(dtype=wp.vec3), covered: Covered,
-    ):  # fmt: skip
+        f: Stored,
+        box: Box,
+        first: int,
+        tau: wp.array(dtype=wp.float32),
+        rates: wp.array(dtype=wp.vec2),
+        magic: float,
+        square: float,
+        driven: int,
+        drive: wp.array(dtype=wp.vec3),
+        covered: Covered,
+    ):
         """Collide and stream cell ``first`` + thread; ``square``: of Smagorinsky's constant."""
         n = first + wp.tid()
         flag = int(box.flags[n])
@@ -125,9 +132,13 @@ def kernels(lattice: Lattice, wide: bool, cuda: bool) -> Any:  # noqa: ANN401 - 
 
     @wp.kernel(enable_backward=False, module="unique")
     def initialise(
-        f: Stored, box: Box, tau: wp.array(dtype=wp.float32), density: wp.array(dtype=wp.float32),
-        velocity: wp.array(dtype=wp.vec3), strain: wp.array2d(dtype=wp.float32),
-    ):  # fmt: skip
+        f: Stored,
+        box: Box,
+        tau: wp.array(dtype=wp.float32),
+        density: wp.array(dtype=wp.float32),
+        velocity: wp.array(dtype=wp.vec3),
+        strain: wp.array2d(dtype=wp.float32),
+    ):
         """Set arriving populations: equilibrium and strain's (Kruger et al. (2017), eq. 5.41)."""
         n = wp.tid()
         flag = int(box.flags[n])
@@ -155,9 +166,13 @@ def kernels(lattice: Lattice, wide: bool, cuda: bool) -> Any:  # noqa: ANN401 - 
 
     @wp.kernel(enable_backward=False, module="unique", grid_stride=False)
     def damp(
-        f: Stored, box: Box, position: wp.array(dtype=wp.vec2), reach: wp.vec2, width: float,
+        f: Stored,
+        box: Box,
+        position: wp.array(dtype=wp.vec2),
+        reach: wp.vec2,
+        width: float,
         strength: float,
-    ):  # fmt: skip
+    ):
         """Damp the flow far from each box's robot: an absorbing layer that moves with it.
 
         Stored populations of water at rest are 0; a factor that falls with the square of the depth

@@ -51,9 +51,12 @@ def wall_kernels(lattice: Lattice, wide: bool) -> tuple[Any, Any]:
 
     @wp.kernel(enable_backward=False, module="unique")
     def mirror(
-        f: Stored, box: Box, listed: wp.array(dtype=wp.int32), normal: wp.array(dtype=wp.int32),
+        f: Stored,
+        box: Box,
+        listed: wp.array(dtype=wp.int32),
+        normal: wp.array(dtype=wp.int32),
         inside: wp.array(dtype=wp.int32),
-    ):  # fmt: skip
+    ):
         """Free-slip cell k of box e; of the cells ``inside`` only fluid receives populations."""
         e, k = wp.tid()
         n = e * box.cells + listed[k]

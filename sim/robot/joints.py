@@ -201,9 +201,11 @@ def send_to(e: int, k: int, u: wp.float64, chain: Chain, s: Motion) -> int:
 
 @wp.kernel(enable_backward=False)
 def send(
-    command: wp.array2d(dtype=wp.float64), chain: Chain, s: Motion,
+    command: wp.array2d(dtype=wp.float64),
+    chain: Chain,
+    s: Motion,
     stopped: wp.array(dtype=wp.int32),
-):  # fmt: skip
+):
     """Send a set-point to joint k of robot e."""
     e, k = wp.tid()
     if stopped[e] < 0:

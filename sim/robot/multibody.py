@@ -194,9 +194,14 @@ def start(chain: Chain, s: Motion, grid: OnGrid, mask: wp.array(dtype=wp.int32))
 
 @wp.kernel(enable_backward=False)
 def advance(
-    chain: Chain, s: Motion, grid: OnGrid, mode: int, target: Reals2, friction: Reals2,
+    chain: Chain,
+    s: Motion,
+    grid: OnGrid,
+    mode: int,
+    target: Reals2,
+    friction: Reals2,
     stopped: wp.array(dtype=wp.int32),
-):  # fmt: skip
+):
     """One step of robot e; ``target`` holds prescribed velocities of its coordinates."""
     _ = wp.static(SIGNATURE)  # Warp's cache does not see the sources of the effects
     e = wp.tid()

@@ -260,9 +260,19 @@ def sensed(q: F, p: Row, z: Row, active: wp.int64) -> F:
 
 @wp.func
 def train_substep(
-    state: wp.vec4d, u: F, time: F, h: F, kp: F, kd: F, g: Train, m: Motor, p: Row, z: Row,
-    active: wp.int64, tick: bool,
-) -> wp.vec4d:  # fmt: skip
+    state: wp.vec4d,
+    u: F,
+    time: F,
+    h: F,
+    kp: F,
+    kd: F,
+    g: Train,
+    m: Motor,
+    p: Row,
+    z: Row,
+    active: wp.int64,
+    tick: bool,
+) -> wp.vec4d:
     """The sub-step of a servo whose gear train is two masses.
 
     Loads act on the output's side, the friction of the motor's law and of other effects on the

@@ -81,11 +81,20 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
 
     @wp.kernel(enable_backward=False, module="unique")
     def simulate_servos(
-        theta: Table, active: wp.array(dtype=wp.int64), memory: Table,
-        signal: wp.array(dtype=wp.int32), order: wp.array(dtype=wp.int32), together: int,
-        times: Table, command: Table, length: wp.array(dtype=wp.int32), grid: Table,
-        varying: wp.array3d(dtype=F), longest: Row, position: Table,
-    ) -> None:  # fmt: skip
+        theta: Table,
+        active: wp.array(dtype=wp.int64),
+        memory: Table,
+        signal: wp.array(dtype=wp.int32),
+        order: wp.array(dtype=wp.int32),
+        together: int,
+        times: Table,
+        command: Table,
+        length: wp.array(dtype=wp.int32),
+        grid: Table,
+        varying: wp.array3d(dtype=F),
+        longest: Row,
+        position: Table,
+    ) -> None:
         _ = wp.static(SIGNATURE)  # Warp's cache does not see the sources of the effects
         place = int(wp.tid() * together)
         end = wp.min(place + together, order.shape[0])

@@ -41,9 +41,20 @@ def substep_of(effects: bool) -> wp.Function:
 
     @wp.func
     def substep(
-        state: wp.vec4d, u: F, time: F, h: F, kp: F, kd: F, inertia: F, g: Train, m: Motor, p: Row,
-        z: Row, active: wp.int64, tick: bool,
-    ) -> wp.vec4d:  # fmt: skip
+        state: wp.vec4d,
+        u: F,
+        time: F,
+        h: F,
+        kp: F,
+        kd: F,
+        inertia: F,
+        g: Train,
+        m: Motor,
+        p: Row,
+        z: Row,
+        active: wp.int64,
+        tick: bool,
+    ) -> wp.vec4d:
         half = wp.float64(0.5) * h
         v = state[1]
         q = state[0] + half * v
