@@ -193,18 +193,22 @@ class LinkFit:
 
     def _explained(
         self, events: EventFilter, arrivals: Arrivals, results: Sequence[Filtered]
-    ) -> list[tuple[NoisyJoint, Array]]:
-        """The joints without the expected deviations, and the covariances of these."""
+    ) -> list[tuple[NoisyJoint, Array, tuple[Array, ...]]]:
+        """The joints without the expected deviations, their covariances, times of losses in s."""
         deviations = events.expected([x.active for x in results], arrivals)
-        J, taken, out = len(self.joints), iter(deviations), []
+        J, out = len(self.joints), []
+        of_channels = [x for x in results for _ in range(J)] if self.common else results
+        channels = list(zip(deviations, of_channels, strict=True))
+        taken = iter(channels)
         for j, joint in enumerate(self.joints):
-            some = deviations[j::J] if self.common else list(islice(taken, len(joint.segments)))
-            segments = tuple(
-                replace(s, residual=np.where(s.source.trace.used, s.residual - x.mean, 0.0))
-                for s, x in zip(joint.segments, some, strict=True)
-            )
-            covariance = np.sum([x.covariance for x in some], axis=0)
-            out.append((replace(joint, segments=segments), covariance))
+            some = channels[j::J] if self.common else list(islice(taken, len(joint.segments)))
+            segments, lost_s = [], []
+            for s, (deviation, x) in zip(joint.segments, some, strict=True):
+                left = np.where(s.source.trace.used, s.residual - deviation.mean, 0.0)
+                segments.append(replace(s, residual=left))
+                lost_s.append(s.source.trace.t[np.setdiff1d(np.arange(x.active.size), x.active)])
+            covariance = np.sum([deviation.covariance for deviation, _ in some], axis=0)
+            out.append((replace(joint, segments=tuple(segments)), covariance, tuple(lost_s)))
         return out
 
     def _renewed(
@@ -217,7 +221,7 @@ class LinkFit:
         """The noise of each joint, refitted to what the expected deviations leave."""
         out = []
         explained = self._explained(events, arrivals, results)
-        for (joint, covariance), old in zip(explained, noise_models, strict=True):
+        for (joint, covariance, _), old in zip(explained, noise_models, strict=True):
             noise, _ = joint.settled(old)
             noise, _ = joint.settled(joint.remodelled(noise, covariance))
             taps = np.append(1.0, -noise.model)
@@ -230,15 +234,6 @@ class LinkFit:
         arrivals, events = self.arrivals, self._filter(self.noise_models)
         (results,) = events.run([arrivals])
         explained = self._explained(events, arrivals, results)
-        taken, lost_s = iter(results), []
-        for joint in self.joints:
-            some = results if self.common else islice(taken, len(joint.segments))
-            lost_s.append(
-                tuple(
-                    s.source.trace.t[np.setdiff1d(np.arange(x.active.size), x.active)]
-                    for s, x in zip(joint.segments, some, strict=True)
-                )
-            )
         shares = [self]
         if len(self.joints) > 1:
             shares = [LinkFit([x], self.effects[:1], common=False) for x in self.joints]
@@ -249,10 +244,10 @@ class LinkFit:
             self.common,
             1 / (1 - arrivals.repeated_loss),
             arrivals.correlation,
-            tuple(lost_s),
+            tuple(lost_s for _, _, lost_s in explained),
             tuple(
                 tuple(s.corrected(noise.refit) for s in joint.segments)
-                for (joint, _), noise in zip(explained, self.noise_models, strict=True)
+                for (joint, _, _), noise in zip(explained, self.noise_models, strict=True)
             ),
         )
 
