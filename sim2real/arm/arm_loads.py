@@ -172,11 +172,7 @@ def _coupled(
     t: Array,
     command: Array,
     *,
-    tolerance_rad: float = 1e-5,
-    impact_tolerance_rad: float = 3e-4,
-    impact_cutoffs_hz: Sequence[float] = (20.0, 40.0, 80.0, 160.0),
     iterations: int = 80,
-    threads: int = 2,
 ) -> tuple[ArmMotion, Array]:
     """Motion of the shafts, and measured angles (T, J), from rest on the first commands (T, J)."""
     fine = _grid(t)
@@ -203,7 +199,7 @@ def _coupled(
         return np.stack(list(pool.map(angles, range(len(servos)))), axis=1)
 
     play = any(row is not None and row[_GAP] > 0 for row in rows)
-    tolerance = impact_tolerance_rad if play else tolerance_rad
+    tolerance = 3e-4 if play else 1e-5
     # servos whose measured angles are those of their output shafts
     shafts = [None if row is None else np.where(_SENSOR, 0.0, row) for row in rows]
     largest = np.inf
@@ -225,8 +221,8 @@ def _coupled(
         return None
 
     best = None
-    with ThreadPoolExecutor(threads) as pool:
-        for cutoff_hz in impact_cutoffs_hz if play else (None,):
+    with ThreadPoolExecutor(2) as pool:
+        for cutoff_hz in (20.0, 40.0, 80.0, 160.0) if play else (None,):  # of impacts
             finer = converged(best or motion, cutoff_hz)
             if finer is None:
                 break

@@ -90,22 +90,14 @@ def on_fit(
     return notes + _misfit(figures, warned)
 
 
-def _misfit(
-    figures: Mapping[str, float | None],
-    warned: bool,
-    *,
-    from_correlation: float = 0.5,
-    held_out_ratio: float = 4.0,
-) -> list[str]:
+def _misfit(figures: Mapping[str, float | None], warned: bool) -> list[str]:
     """Notes on errors far above the noise, of the fit and on held-out data."""
     keys = ("train", "heldout", "noise", "whiteness", "correlation_time_s")
     train, held_out, noise, white, time = (figures[key] or 0.0 for key in keys)
     notes = []
     if train > 0 and train >= ABOVE_NOISE * noise:
         times = f"{train / noise:.0f} times the noise" if noise > 0 else "where no noise is visible"
-        correlated = (
-            f", and is correlated over {1e3 * time:.0f} ms" if white >= from_correlation else ""
-        )
+        correlated = f", and is correlated over {1e3 * time:.0f} ms" if white >= 0.5 else ""
         why = "physics is missing from this model"
         if warned:
             why = "see the warnings about the recordings before physics that may be missing"
@@ -117,7 +109,7 @@ def _misfit(
             f"the residual of the model is {1e3 * train:.1f} mrad, {times}{correlated}: {why}"
         )
     least = max(train, noise)
-    if held_out > held_out_ratio * least > 0:
+    if held_out > 4 * least > 0:
         notes.append(
             f"the error on held-out data is {1e3 * held_out:.1f} mrad, {held_out / least:.0f} "
             "times that of the fit: these values do not hold for other motions"
@@ -137,11 +129,11 @@ def on_ringing(best: Fit, traces: Sequence[Trace]) -> list[str]:
     ]
 
 
-def on_weight(plain: Fit, *, contradicted: float = 0.5) -> list[str]:
+def on_weight(plain: Fit) -> list[str]:
     """A note where the stated weight of a pendulum sets the scale, or the data contradict it.
 
-    They do where the linear servo without the weight leaves less than a share ``contradicted`` of
-    the error; its gains are searched from those with it and from smaller ones.
+    They do where the linear servo without the weight leaves less than half of the error; its gains
+    are searched from those with it and from smaller ones.
     """
     traces = plain.problem.traces
     load = max((trace.load for trace in traces), key=lambda load: load.gravity_Nm)
@@ -153,7 +145,7 @@ def on_weight(plain: Fit, *, contradicted: float = 0.5) -> list[str]:
     level = [replace(trace, load=Load(trace.load.inertia_kgm2)) for trace in traces]
     free = fit(replace(plain.problem, traces=level), starts, rounds=2)
     before, after = rms([plain.error]), rms([free.error])
-    if after < contradicted * before:
+    if after < 0.5 * before:
         return [
             f"the data contradict the weight of the stated pendulum {pendulum}: without it the "
             f"error of the linear servo is {1e3 * after:.1f} instead of {1e3 * before:.1f} mrad; "
@@ -171,15 +163,12 @@ def on_data_sheet(servo: Servo) -> list[str]:
     ]
 
 
-def by_prior(motor: Fit, spread: Uncertainty, *, kept: float = 0.7) -> tuple[str, ...]:
-    """Names of the parameters of a motor that its prior determines, and not the recordings.
-
-    They have at least the share ``kept`` of its standard deviation.
-    """
+def by_prior(motor: Fit, spread: Uncertainty) -> tuple[str, ...]:
+    """Names of the parameters of a motor that have at least 0.7 of their prior's deviation."""
     problem = motor.problem
     prior_sd, nominal = (column(problem.parameters, name) for name in ("prior_sd", "nominal"))
     near = np.abs(motor.x * problem.unit - nominal) <= 2 * prior_sd
-    return tuple(compress(motor.names, near & (spread.sd * problem.unit >= kept * prior_sd)))
+    return tuple(compress(motor.names, near & (spread.sd * problem.unit >= 0.7 * prior_sd)))
 
 
 def on_motor(motor: Fit, spread: Uncertainty, servo: Servo) -> list[str]:

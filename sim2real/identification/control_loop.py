@@ -27,24 +27,15 @@ _RATES_HZ = (90.0, 1100.0)
 """Range of rates; faster loops are not distinguishable from continuous ones."""
 
 
-def fit_sampled_loop(
-    motor: Fit,
-    prior: MotorPrior,
-    *,
-    fewest: int = 12,
-    first_steps: int = 8,
-    best: int = 2,
-    rounds: int = 3,
-    phases: int = 64,
-) -> Fit | None:
-    """Fit a sampled loop, without a test of its significance; None with too few large steps.
+def fit_sampled_loop(motor: Fit, prior: MotorPrior) -> Fit | None:
+    """Fit a sampled loop, without a test of its significance; None with less than 12 large steps.
 
     The latency of the ``motor`` without a loop includes the mean wait for the next sample. All
-    recordings are assumed to start at the same phase. After a search of ``first_steps`` for each
-    period, the ``best`` of ``phases`` earlier and later ones are searched on, in ``rounds``.
+    recordings are assumed to start at the same phase. After a search of 8 evaluations for each
+    period, the best two of 64 earlier and later phases are searched on, three times.
     """
     sent, delay, spread = _arrivals(motor)
-    if sent.size < fewest:
+    if sent.size < 12:
         return None
     free = (*motor.parameters, *prior.of(LOOP[:1]))
     problem = replace(motor.problem, parameters=free)
@@ -56,12 +47,12 @@ def fit_sampled_loop(
 
     rates = _rates(sent + delay, spread)
     coarse = [ranked(_starts(motor, 1 / hz, sent, delay, spread))[:1] for hz in rates]
-    row = _searched(problem, np.concatenate(coarse), noise, first_steps)
-    for _ in range(rounds):
-        others = np.tile(row, (phases + 1, 1))  # set-points wait for other samples
-        others[:, _LATENCY] -= np.linspace(-0.5, 0.5, phases + 1) * row[_LOOP[0]]
+    row = _searched(problem, np.concatenate(coarse), noise, 8)
+    for _ in range(3):
+        others = np.tile(row, (65, 1))  # set-points wait for other samples
+        others[:, _LATENCY] -= np.linspace(-0.5, 0.5, 65) * row[_LOOP[0]]
         others[:, _LATENCY] = np.maximum(others[:, _LATENCY], 0.0)
-        row = _searched(problem, ranked(np.concatenate([row[None], others]))[:best], noise, 10)
+        row = _searched(problem, ranked(np.concatenate([row[None], others]))[:2], noise, 10)
     return fit(replace(problem, row=row), row[None], rounds=1, first=1)
 
 
@@ -99,17 +90,15 @@ def undetected_loop(motor: Fit, *, synchronous: float = 0.95) -> tuple[float, fl
     return None
 
 
-def _arrivals(
-    motor: Fit, *, most_steps: int = 60, least_step: float = 0.1, delay_sd_s: float = 0.004
-) -> tuple[Array, Array, Array]:
+def _arrivals(motor: Fit, *, delay_sd_s: float = 0.004) -> tuple[Array, Array, Array]:
     """Times of large steps of the command, their delays and standard deviations, in s, (K,)."""
     times, delays, spreads = [], [], []
     scale = motor.scale_rad
     by_trace = motor.residuals, motor.problem.by_trace(motor.slopes)
     for trace, error, slopes in zip(motor.problem.traces, *by_trace, strict=True):
         jump = np.abs(np.diff(trace.command, prepend=trace.command[0]))
-        step = np.flatnonzero(jump > least_step * jump.max())
-        step = np.sort(step[np.argsort(-jump[step])[:most_steps]])
+        step = np.flatnonzero(jump > 0.1 * jump.max())
+        step = np.sort(step[np.argsort(-jump[step])[:60]])
         step = step[(step > 0) & (step < trace.t.size - 1)]
         if not step.size:
             continue
@@ -145,8 +134,8 @@ def _effect_of_delay(motor: Fit, trace: Trace, step: Index) -> Array:
     return np.asarray(-change * np.real(response * waves))
 
 
-def _rates(times: Array, spread: Array, *, count: int = 6) -> Array:
-    """Rates in Hz of the ``count`` lattices that fit the times best, and their subharmonics."""
+def _rates(times: Array, spread: Array) -> Array:
+    """Rates in Hz of the six lattices that fit the times best, and their subharmonics."""
     fine = 0.2 / max(float(np.ptp(times)), 1e-3)
     rates = np.arange(*_RATES_HZ, fine)
     power = np.empty(rates.size)
@@ -159,7 +148,7 @@ def _rates(times: Array, spread: Array, *, count: int = 6) -> Array:
         coherence = np.abs(np.einsum("rk,rk,k->r", weight, turned[: hz.size], begin)) ** 2
         power[first : first + block] = coherence / np.maximum((weight**2).sum(axis=1), 1e-9)
     order = np.argsort(-power)
-    chosen = rates[order[apart(rates[order, None], 5 * fine, count)]]
+    chosen = rates[order[apart(rates[order, None], 5 * fine, 6)]]
     lower = np.concatenate([chosen, chosen / 2, chosen / 3])  # of harmonics
     lower = lower[lower > _RATES_HZ[0]]
     return np.asarray(lower[apart(lower[:, None], 5 * fine)])

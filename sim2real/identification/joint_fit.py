@@ -130,25 +130,20 @@ def choose_motor(
     losses: bool = True,
     set_points: bool = False,
     before: Fit | None = None,
-    white: float = 0.1,
-    error_before_loop: float = 15.0,
-    error_with_loop: float = 1.5,
-    loop_parameters: int = 12,
 ) -> Fit:
     """Fit the limit of the motor's torque and, if that does not explain the recordings, its losses.
 
-    Where the linear servo explains them, its gains are kept and only the limit is fitted. Losses
-    are included if they decrease the loss by clearly more than twice their number (Akaike's
-    criterion). The same applies to gradual friction and, where the residual is at most
-    ``error_before_loop`` times the noise, to a sampled loop, which leaves at most
-    ``error_with_loop`` times the noise and counts as ``loop_parameters``, the best of a thousand
-    periods and phases. With ``set_points`` a limit of the speed of set-points inside the servo is
-    fitted too, if they determine it and the evidence is larger. A sampled loop of ``before``, the
-    fit to fewer recordings, is kept, and searches start from that fit where it has the same
-    parameters.
+    Where the linear servo explains them, its gains are kept and only the limit is fitted.
+    Losses are included if they decrease the loss by clearly more than twice their number
+    (Akaike's criterion). The same applies to gradual friction and, where the residual is at
+    most 15 times the noise, to a sampled loop, which leaves at most 1.5 times the noise and
+    counts as twelve parameters, as it is the best of a thousand periods and phases. With
+    ``set_points`` a limit of the speed of set-points inside the servo is fitted too, if they
+    determine it and the evidence is larger. A sampled loop of ``before``, the fit to fewer
+    recordings, is kept, and searches start from that fit where it has the same parameters.
 
     Without ``losses``, as where effects are fitted instead, the motor's line and rotor are fitted.
-    A residual whose lag-1 autocorrelation is below ``white`` counts as white.
+    A residual whose lag-1 autocorrelation is below 0.1 counts as white.
     """
     traces = plain.problem.traces
     if before is not None and LOOP[0] in before.names:
@@ -193,33 +188,25 @@ def choose_motor(
         without = fit_motor(best, prior, fewer, rng, best.minima)
         best = best if _better(without, best, 1) else without
     ratio = rms([best.error]) / noise
-    explained = ratio < EXPLAINED and whiteness(best.residuals) < white
-    if explained or ratio > error_before_loop or before is not None:
+    explained = ratio < EXPLAINED and whiteness(best.residuals) < 0.1
+    if explained or ratio > 15 or before is not None:
         return best
     looped = fit_sampled_loop(best, prior)
-    if looped is None or rms([looped.error]) > error_with_loop * noise:
+    if looped is None or rms([looped.error]) > 1.5 * noise:
         return best
-    return looped if _better(best, looped, loop_parameters) else best
+    return looped if _better(best, looped, 12) else best
 
 
-def fit_limit(
-    plain: Fit,
-    prior: MotorPrior,
-    names: Sequence[str],
-    rng: np.random.Generator,
-    *,
-    plausible_sd: float = 2.0,
-    current_limits: Sequence[float] = (0.85, 0.6),
-) -> Fit:
+def fit_limit(plain: Fit, prior: MotorPrior, names: Sequence[str], rng: np.random.Generator) -> Fit:
     """Fit a motor with the likeliest limit of its torque.
 
-    A drive limited in voltage has the torque-speed line of its data sheet. One limited in current
-    has a flat limit, whatever the speed, and its damping acts in addition: the same law, in which
-    the no-load speed follows from the damping instead of the data sheet (``MotorPrior.flat``). Both
-    at once are a line and a current limit below its stall torque. The flat limit is tried where the
-    no-load speed is ``plausible_sd`` standard deviations of its prior beyond the data sheet, both
-    where one limit leaves a residual, from ``current_limits`` as shares of the stall torque; the
-    larger evidence decides. A limit of which only the prior tells is none.
+    A drive limited in voltage has the torque-speed line of its data sheet. One limited in
+    current has a flat limit, whatever the speed, and its damping acts in addition: the same
+    law, in which the no-load speed follows from the damping instead of the data sheet
+    (``MotorPrior.flat``). Both at once are a line and a current limit below its stall torque.
+    The flat limit is tried where the no-load speed is two standard deviations of its prior
+    beyond the data sheet, both where one limit leaves a residual, from 0.85 and 0.6 of the
+    stall torque; the larger evidence decides. A limit of which only the prior tells is none.
 
     ``names`` are the columns to fit, those of the line among them; the gains are those of the
     linear servo if they are not.
@@ -229,7 +216,7 @@ def fit_limit(
     if prior.ties.drive is not None or traces[0].load is PER_INERTIA:
         return line  # the drive is known, or the unit of torque is not
     options, speed = [line], prior[LINE[1]]
-    plausible = min(speed.nominal + plausible_sd * speed.prior_sd, np.log(speed.high) - 1e-3)
+    plausible = min(speed.nominal + 2 * speed.prior_sd, np.log(speed.high) - 1e-3)
     if np.log(line.row[LINE_COLUMNS[1]]) > plausible:
         flat = prior.flat(float(plain.row[1]))
         start = line.row.copy()
@@ -239,7 +226,7 @@ def fit_limit(
     if BASE[0] in names and rms([best.error]) > EXPLAINED * fit_noise(traces):
         row = line.row.copy()
         row[LINE_COLUMNS] = [np.exp(prior[name].nominal) for name in LINE]
-        values = row[LINE_COLUMNS[0]] * np.array(current_limits)
+        values = row[LINE_COLUMNS[0]] * np.array([0.85, 0.6])
         best = _limited(best, row, prior, names, CURRENT_LIMIT, values, rng)
     return best
 
@@ -294,7 +281,7 @@ def _likeliest(options: Sequence[Fit]) -> Fit:
     return max(options, key=lambda motor: motor.evidence(best.scale_rad, best.inflation))
 
 
-def _better(fewer: Fit, more: Fit, added: int, *, beyond_chance: float = 6.0) -> bool:
+def _better(fewer: Fit, more: Fit, added: int) -> bool:
     """Whether ``added`` parameters decrease the loss significantly, for residuals like theirs."""
     noise = more.scale_rad, more.inflation
-    return fewer.loss(*noise) - more.loss(*noise) > 2 * added + beyond_chance
+    return fewer.loss(*noise) - more.loss(*noise) > 2 * added + 6

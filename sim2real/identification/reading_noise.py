@@ -44,26 +44,18 @@ def without_wrong_readings(trace: Trace) -> Trace:
     return replace(trace, used=trace.used & ~wrong_readings(trace.position))
 
 
-def without_releases(
-    trace: Trace,
-    simulated: Array,
-    *,
-    least_rad: float = 0.25,
-    shortest_s: float = 0.05,
-    recovery_s: float = 0.3,
-    towards_rad_s: float = 0.1,
-) -> Trace:
+def without_releases(trace: Trace, simulated: Array, *, least_rad: float = 0.25) -> Trace:
     """The trace without the times in which the servo has no torque although it is enabled.
 
-    There the shaft does not follow: for ``shortest_s`` it is further than ``least_rad`` from where
-    a fitted servo would be (``simulated``, in rad, shape (T,)) and does not turn towards that.
-    Nothing is used from where it last was as close as usual until it has been near for
-    ``recovery_s``.
+    There the shaft does not follow: for 50 ms it is further than ``least_rad`` from where a fitted
+    servo would be (``simulated``, in rad, shape (T,)) and does not turn towards that by 0.1 rad/s.
+    Nothing is used from where it last was as close as usual until it has been near for 0.3 s.
     """
+    shortest_s, recovery_s = 0.05, 0.3
     angle = np.interp(trace.t, trace.t[trace.used], trace.position[trace.used])
     away = simulated - angle
     speed = np.gradient(angle, trace.t)
-    lost = (np.abs(away) > least_rad) & (speed * np.sign(away) < towards_rad_s)
+    lost = (np.abs(away) > least_rad) & (speed * np.sign(away) < 0.1)
     usual = OUTLIER_SD * robust_scale(away[trace.used])
     near = [trace.t[a:b] for a, b in runs(np.abs(away) < min(usual, least_rad))]
     used = trace.used.copy()
@@ -78,16 +70,16 @@ def without_releases(
     return trace if (used == trace.used).all() else replace(trace, used=used)
 
 
-def while_powered(traces: Sequence[Trace], *rows: Array, least_share: float = 0.5) -> list[Trace]:
+def while_powered(traces: Sequence[Trace], *rows: Array) -> list[Trace]:
     """The traces without the times that are releases for each of some servos, (P,) each.
 
-    They are whole where less than ``least_share`` of all readings would remain.
+    They are whole where less than half of all readings would remain.
     """
     left = [np.zeros_like(trace.used) for trace in traces]
     for row in rows:
         for used, trace, error in zip(left, traces, errors_of(row, traces), strict=True):
             used |= without_releases(trace, trace.simulated(error)).used
-    if sum(map(np.sum, left)) < least_share * sum(t.used.sum() for t in traces):
+    if sum(map(np.sum, left)) < 0.5 * sum(t.used.sum() for t in traces):
         return list(traces)
     return [replace(trace, used=used) for trace, used in zip(traces, left, strict=True)]
 
@@ -124,30 +116,27 @@ def rest_noise(traces: Sequence[Trace]) -> float:
     return sensor_noise(traces) if known is None else known[1]
 
 
-def jitter_s(
-    traces: Sequence[Trace], *,
-    least_ratio: float = 4.0, least_share: float = 0.05, settled: float = 0.85,
-) -> tuple[float, float] | None:  # fmt: skip
+def jitter_s(traces: Sequence[Trace]) -> tuple[float, float] | None:
     """Standard deviation of the times of reading in s, and of the noise at rest in rad.
 
     From divided differences of neighbouring readings, so that no model of the servo is needed;
     motion can only increase them, so that the order with the smallest ones counts. None where the
-    noise of the fastest readings is less than ``least_ratio`` times that of the slowest, or times
-    vary by less than ``least_share`` of a period, as those of a sensor that is read in time; nor
-    where the last order lowers them below the share ``settled``, as it does where parts collide.
+    noise of the fastest readings is less than 4 times that of the slowest, or times vary by less
+    than 5 % of a period, as those of a sensor that is read in time; nor where the last order lowers
+    them by more than 15 %, as it does where parts collide.
     """
     # orders of divided differences, which cancel polynomial motion of lower degree
-    found = [_of_order(traces, order, least_ratio) for order in (4, 5, 6)]
+    found = [_of_order(traces, order) for order in (4, 5, 6)]
     last, highest = found[-2:]
-    if last and highest and highest[0] < settled * last[0]:
+    if last and highest and highest[0] < 0.85 * last[0]:
         return None
     smallest = min(found, key=lambda one: -1.0 if one is None else one[0])
     period = float(np.median([t.period_s for t in traces]))
-    return smallest if smallest is not None and smallest[0] > least_share * period else None
+    return smallest if smallest is not None and smallest[0] > 0.05 * period else None
 
 
 def _of_order(
-    traces: Sequence[Trace], order: int, least_ratio: float, *, groups: int = 8, fewest: int = 20
+    traces: Sequence[Trace], order: int, *, groups: int = 8
 ) -> tuple[float, float] | None:
     """``jitter_s`` from differences of one order, by groups of readings of similar speed."""
     parts = [(np.zeros(0), np.zeros(0))]
@@ -157,7 +146,7 @@ def _of_order(
             speed = np.abs(angle[order:] - angle[:-order]) / (t[order:] - t[:-order])
             parts.append((divided_differences(t, angle, order), speed))
     noise, speed = (np.concatenate(x) for x in zip(*parts, strict=True))
-    if noise.size < groups * fewest:
+    if noise.size < groups * 20:
         return None
     by_speed = np.argsort(speed, kind="stable")
     slowest = by_speed[: noise.size // groups]
@@ -168,4 +157,4 @@ def _of_order(
     typical = np.array([np.mean(speed[part] ** 2) for part in fast])
     beyond = np.maximum(sd**2 - rest**2, 0.0)
     variance = np.divide(beyond, typical, out=np.zeros_like(beyond), where=typical > 0)
-    return (float(np.sqrt(np.median(variance))), rest) if sd[-1] > least_ratio * rest else None
+    return (float(np.sqrt(np.median(variance))), rest) if sd[-1] > 4 * rest else None

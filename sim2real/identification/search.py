@@ -42,8 +42,6 @@ def fit(
     behind: float = 30.0,
     rival: tuple[Fit, float] | None = None,
     rng: np.random.Generator | None = None,
-    most: int = 8,
-    same_scale: float = 0.05,
 ) -> Fit:
     """Fit the free parameters of a servo from several starts (S, P).
 
@@ -56,7 +54,7 @@ def fit(
     sub-steps, ``later`` that in later rounds, ``last`` that of the best search alone in the end;
     ``effort`` multiplies all three. ``rival`` is another fit, and by how much the first round must
     go below its loss: else the fit ends there, not at its minimum. ``rng`` draws the neighbours by
-    which ``most`` minima are ordered (``robust_order``), where a servo may stick or just not; by
+    which eight minima are ordered (``robust_order``), where a servo may stick or just not; by
     default losses order them.
     """
     x = problem.searched(starts)
@@ -69,14 +67,14 @@ def fit(
         scale, noise = noise[0], problem.noise(error[0])
         x = x[loss < loss[0] + behind] if number else x
         x = x[apart(x, 0.1)]
-        if number and abs(noise[0] / scale - 1) < same_scale:
+        if number and abs(noise[0] / scale - 1) < 0.05:
             break
         lower = rival[0].loss(*noise) - problem.loss(x[:1], error, *noise)[0] if rival else 0.0
         if rival is not None and not number and lower < rival[1]:
             x, last = x[:1], 0
             break
     if rng is not None and len(x) > 1:
-        x = x[robust_order(problem, x[:most], noise, rng)]
+        x = x[robust_order(problem, x[:8], noise, rng)]
     best, _, converged = search(problem, x[:1], noise, round(effort * last), settled=1e-6)
     x = np.concatenate([best, x[1:]])
     loss = problem.loss(x, problem.residuals(x), *noise)
@@ -131,29 +129,24 @@ def search(
 
 
 def robust_order(
-    problem: ServoProblem,
-    x: Array,
-    noise: tuple[float, float],
-    rng: np.random.Generator,
-    *,
-    neighbours: int = 128,
-    distance: float = 0.1,
+    problem: ServoProblem, x: Array, noise: tuple[float, float], rng: np.random.Generator
 ) -> Index:
-    """Indices of minima (M, F) by the mean loss of their neighbours, smallest first.
+    """Indices of minima (M, F) by the mean loss of 128 neighbours, smallest first.
 
-    Neighbours differ in rotor inertia and losses by ``distance``, a share of the prior's standard
-    deviation. A narrow minimum owes its small loss to a coincidence, for instance of the moment at
-    which the shaft sticks, and predicts other motions badly; so the expected loss of uncertain
-    parameters is what counts (robust optimisation: Beyer and Sendhoff, Computer Methods in Applied
-    Mechanics and Engineering 196 (2007) 3190-3218, sec. 2.2). ``noise`` as of ``search``.
+    Neighbours differ in rotor inertia and losses by a tenth of the prior's standard deviation.
+    A narrow minimum owes its small loss to a coincidence, for instance of the moment at which
+    the shaft sticks, and predicts other motions badly; so the expected loss of uncertain
+    parameters is what counts (robust optimisation: Beyer and Sendhoff, Computer Methods in
+    Applied Mechanics and Engineering 196 (2007) 3190-3218, sec. 2.2). ``noise`` as of
+    ``search``.
     """
     varied = [k for k, name in enumerate(problem.names) if name in (ROTOR, *LOSSES)]
     sd = column(problem.parameters, "prior_sd")[varied] / problem.unit[varied]
-    offset = distance * sd * rng.standard_normal((neighbours, len(varied)))
+    offset = 0.1 * sd * rng.standard_normal((128, len(varied)))
     low, high = problem.box
     means = np.empty(len(x))
     for k, minimum in enumerate(x):
-        nearby = np.tile(minimum, (neighbours, 1))
+        nearby = np.tile(minimum, (128, 1))
         nearby[:, varied] += offset
         nearby = np.clip(np.maximum(nearby, 2 * low - nearby), low, high)  # reflected at 0
         error = problem.residuals(nearby, rough=True)
@@ -180,12 +173,6 @@ def first_guess(
     *,
     rotor_kgm2: float = 0.0,
     fastest_rad_s: float = FREQUENCY_RAD_S[1],
-    guesses: int = 1024,
-    elite: int = 16,
-    spreads: Sequence[float] = (0.1, 0.04, 0.015),
-    rival_error: float = 1.03,
-    rival_distance: float = 0.08,
-    most_rivals: int = 4,
 ) -> Array:
     """Servos that approximately fit the recordings, shape (S, P): the best, and different ones.
 
@@ -194,9 +181,8 @@ def first_guess(
     Methodology and Computing in Applied Probability 1 (1999) 127-190).
 
     Candidates have ``rotor_kgm2`` in addition to the load's inertia and natural frequencies up to
-    ``fastest_rad_s``. Where the recordings determine the gain there is one servo: further ones
-    have an error within a factor ``rival_error`` of the smallest and gains that differ by
-    ``rival_distance`` of the range.
+    ``fastest_rad_s``. Where the recordings determine the gain there is one servo: four further ones
+    at most have an error within 3 % of the smallest and gains that differ by 8 % of the range.
     """
     trace = _most_active(traces)
     inertia = trace.load.inertia_kgm2 + rotor_kgm2
@@ -209,41 +195,33 @@ def first_guess(
         (angle,) = simulator.angles(rows, np.maximum(substeps, 1e-3))
         return np.asarray(np.mean(np.abs(angle - trace.position)[:, trace.used], axis=1))
 
-    points = kronecker(guesses, 3, rng)
+    points = kronecker(1024, 3, rng)
     low, high = np.log(FREQUENCY_RAD_S)
     points[:, 0] *= min(1.0, (np.log(fastest_rad_s) - low) / (high - low))
     error = errors(points)
-    for spread in spreads:
-        best = np.argsort(error)[:elite]
+    for spread in (0.1, 0.04, 0.015):
+        best = np.argsort(error)[:16]
         points, error = points[best], error[best]
-        around = np.repeat(points, guesses // (4 * elite), axis=0)
+        around = np.repeat(points, 16, axis=0)
         drawn = np.clip(around + spread * rng.standard_normal(around.shape), 0.0, 1.0)
         error = np.append(error, errors(drawn))
         points = np.vstack([points, drawn])
     order = np.argsort(error)
-    alike = points[order[error[order] < rival_error * error[order[0]]]]
-    chosen = apart(alike[:, :1], rival_distance, 1 + most_rivals)
+    alike = points[order[error[order] < 1.03 * error[order[0]]]]
+    chosen = apart(alike[:, :1], 0.08, 5)
     return _rows(alike[chosen], inertia, rotor_kgm2)
 
 
 def drawn(
-    problem: ServoProblem,
-    base: Fit,
-    rng: np.random.Generator,
-    *,
-    draws: int = 512,
-    most: int = 12,
-    strengths: tuple[float, float] = (0.3, 10.0),
-    absent: float = 0.25,
-    distance: float = 0.5,
+    problem: ServoProblem, base: Fit, rng: np.random.Generator, *, draws: int = 512, most: int = 12
 ) -> Array:
     """Servos (S, P) for a problem with more parameters than a fit, which start from that fit.
 
     What the fit does not have is drawn from its prior; parameters of effects are a multiple of
-    their typical values, within ``strengths``, or ``absent`` in a share of the draws. As these
-    take over a part of the gains, half of the draws have other gains. The first draw is kept, and
-    those with the smallest errors in the segment with most motion, each at a ``distance`` from the
-    others in a parameter, in natural units.
+    their typical values, from 0.3 to 10, or absent in a quarter of the draws. As these take over a
+    part of the gains, half of the draws have other gains. The first draw is kept, and those with
+    the smallest errors in the segment with most motion, each half a natural unit from the others in
+    a parameter.
     """
     rows = np.tile(problem.row, (draws, 1))
     known = [COLUMNS.index(name) for name in base.names if name in problem.names]
@@ -254,9 +232,9 @@ def drawn(
             value = p.nominal + width * rng.standard_normal(draws)
             value = np.exp(value) if p.log else 0.5 * np.abs(value)
         else:
-            low, high = np.log(strengths)
+            low, high = np.log([0.3, 10.0])
             share = rng.uniform(low, high, draws)
-            value = np.where(rng.random(draws) < absent, 0.0, p.nominal * np.exp(share))
+            value = np.where(rng.random(draws) < 0.25, 0.0, p.nominal * np.exp(share))
         rows[:, COLUMNS.index(p.name)] = np.clip(value, max(p.low, 0.0), p.high)
     half = draws // 2
     if ROTOR in problem.names and base.row[INERTIA_LEFT_OUT] > 0:  # of an arm's linear servo
@@ -273,7 +251,7 @@ def drawn(
     size = np.mean(np.abs(windowed.residuals(x, rough=True)), axis=1)
     size[0] = 0.0
     order = np.argsort(size)
-    return np.asarray(rows[order[apart(x[order] / problem.natural, distance, most)]])
+    return np.asarray(rows[order[apart(x[order] / problem.natural, 0.5, most)]])
 
 
 def servos_at(points: Array, inertia: float | Array) -> Array:

@@ -130,19 +130,17 @@ def _ratio(variance: Array, least: Array) -> Array:
     return np.divide(variance, least, out=np.ones_like(variance), where=least > 0)
 
 
-def intervals(
-    best: Fit, spread: Uncertainty, *, largest_symmetric: float = 0.15
-) -> dict[str, tuple[float, float]]:
+def intervals(best: Fit, spread: Uncertainty) -> dict[str, tuple[float, float]]:
     """Intervals of the fitted parameters, by name, with their prior if they have one.
 
     Symmetric as searched; of a servo without a motor by profile likelihood, where that is wide (a
-    relative half-width of a gain, or half-width in units, above ``largest_symmetric``) or another
+    relative half-width of a gain, or half-width in units, above 0.15) or another
     minimum outside fits the recordings as well. An upper end is infinite if the recordings do not
     determine it; ends are within the bounds and include all minima that fit equally well.
     """
     problem, (low, high) = best.problem, best.problem.box
     plain = problem.ties is None and all("." not in name for name in problem.names)
-    most = largest_symmetric * problem.natural
+    most = 0.15 * problem.natural
     equal = best.as_good(spread.least_loss) if plain else np.empty((0, best.x.size))
     result = {}
     for k, p in enumerate(best.parameters):
@@ -176,23 +174,19 @@ def standard_errors(
 
 
 def beyond_data_sheet(
-    motor: Fit,
-    ends: Mapping[str, tuple[float, float]],
-    servo: Servo,
-    *,
-    implausible_sd: float = 4.0,
+    motor: Fit, ends: Mapping[str, tuple[float, float]], servo: Servo
 ) -> dict[str, tuple[float, float]]:
     """Wider intervals of the gains where the stall torque is implausible for the data sheet.
 
     The load sets the scale of both. If a stated load is wrong, the gains are as wrong as the stall
     torque, and their intervals extend to the values that belong to that of the data sheet: where it
-    is ``implausible_sd`` standard deviations of its prior away.
+    is four standard deviations of its prior away.
     """
     if LINE[0] not in motor.names or motor.problem.traces[0].load is PER_INERTIA:
         return {}
     k = motor.names.index(LINE[0])
     factor = servo.max_torque_Nm / float(motor.values[k])
-    if abs(np.log(factor)) < implausible_sd * motor.parameters[k].prior_sd:
+    if abs(np.log(factor)) < 4 * motor.parameters[k].prior_sd:
         return {}
     both = ((gain, ends[gain]) for gain in GAINS if gain in ends)
     return {gain: (min(low, low * factor), max(up, up * factor)) for gain, (low, up) in both}
@@ -235,21 +229,14 @@ def _profiled(
     return moved(0.5 * (inside + outside))
 
 
-def repeating_error(
-    best: Fit,
-    prior: Array,
-    *,
-    slow_per_rad: float = 2.0,
-    finest_per_rad: float = 12.5,
-    most_waves: int = 40,
-) -> tuple[Array, Array]:
+def repeating_error(best: Fit, prior: Array) -> tuple[Array, Array]:
     """Covariances of the gradient of the loss by errors that are functions of the angle.
 
     The residual contains an error of the measured angle and a torque that act through the closed
     loop of gains, inertia and gravity, both random functions of the simulated angle: Fourier series
     over the visited range with independent coefficients. Each has one prior variance for slow waves
-    (eccentric sensors, gravity: up to ``slow_per_rad`` cycles per radian) and one for fine ones (up
-    to 79 a turn, cogging behind gears); the four are estimated from the residual by
+    (eccentric sensors, gravity: up to 2 cycles per radian) and one for fine ones (up to 79 a turn,
+    cogging behind gears; 40 waves at most); the four are estimated from the residual by
     ``variance_components``. A wave that the residual shows counts with its own power, as cogging is
     a single wave, and one that the fit has absorbed with the variance of its kind. Phases are
     arbitrary: the cosine and the sine of a wave share its power.
@@ -271,8 +258,8 @@ def repeating_error(
     if high - low < best.scale_rad:
         return none
     length = 1.3 * (high - low)  # a longer period than the range lets the ends differ
-    waves = np.arange(1, np.clip(round(finest_per_rad * length), 1, most_waves) + 1)
-    slow = np.tile(waves / length <= slow_per_rad, 2)
+    waves = np.arange(1, np.clip(round(12.5 * length), 1, 40) + 1)
+    slow = np.tile(waves / length <= 2.0, 2)
     of_angle, of_torque = [], []
     for trace, angle in zip(traces, angles, strict=True):
         phase = 2 * np.pi * np.outer(angle - low, waves) / length

@@ -8,7 +8,7 @@ import math
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from glob import escape
@@ -133,15 +133,13 @@ def run_chain(
     file: Path | None = None,
     progress: Callable[[int], None] = lambda steps: None,
     *,
-    smallest_block: int = 100,
-    block_share: float = 0.1,
     spans: float = math.inf,
 ) -> Chain:
     """Continue a chain to ``steps`` steps in all, writing it to ``file`` after every block.
 
     It ends before that where it is ``spans`` times as long as its longest autocorrelation time.
 
-    ``log_density`` is that of standardised coordinates (B, F), shape (B,). A block is a share of
+    ``log_density`` is that of standardised coordinates (B, F), shape (B,). A block is a tenth of
     the previous steps, so that the total cost of writing grows only in proportion to the length of
     the chain; after each, ``progress`` is called with the number of completed steps.
 
@@ -158,7 +156,7 @@ def run_chain(
         start, density = chain.coordinates[-1], chain.log_density[-1]
     state = State(start, density, random_state=chain.random)
     while chain.steps < steps and (not chain.steps or chain.spans < spans):
-        block = min(max(smallest_block, int(block_share * chain.steps)), steps - chain.steps)
+        block = min(max(100, int(0.1 * chain.steps)), steps - chain.steps)
         sampler.reset()
         state = deque(interruptible(sampler.sample(state, iterations=block)), maxlen=1).pop()
         chain = replace(
@@ -245,9 +243,7 @@ def _checksum(arrays: Mapping[str, NDArray[Any]]) -> str:
     return digest.hexdigest()
 
 
-def _moves(
-    *, shares: Sequence[float] = (0.6, 0.2, 0.2), freedom: float = 5.0, scale: float = 1.1
-) -> list[tuple[Any, float]]:
+def _moves(*, freedom: float = 5.0, scale: float = 1.1) -> list[tuple[Any, float]]:
     """Moves of ``emcee`` for standardised coordinates, each with its share of the steps.
 
     Where the posterior is nearly normal, independent proposals about the optimum (from a Student
@@ -268,14 +264,14 @@ def _moves(
         new = scale * random.normal(size=w.shape) / tail
         return new, log_student(w) - log_student(new)
 
-    return list(zip((MHMove(independent), StretchMove(), DEMove()), shares, strict=True))
+    return list(zip((MHMove(independent), StretchMove(), DEMove()), (0.6, 0.2, 0.2), strict=True))
 
 
-def require(chain: Chain, what: str, names: tuple[str, ...], *, multiple: int = 500) -> None:
+def require(chain: Chain, what: str, names: tuple[str, ...]) -> None:
     """Raise an InputError with a number of steps, unless a chain is long enough."""
     if chain.reached:
         return
-    steps = math.ceil(chain.needed / multiple) * multiple
+    steps = math.ceil(chain.needed / 500) * 500
     raise InputError(
         what,
         names[int(chain.times.argmax())],

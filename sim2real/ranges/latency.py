@@ -34,26 +34,19 @@ _LAW_SD_S = 2e-4
 """Smallest standard deviation of a latency, due to errors of the servo's law."""
 
 
-def episode_latencies(
-    traces: Sequence[Trace],
-    joint: JointModel,
-    *,
-    gain_sd: float = 0.02,
-    latency_sd_s: float = 0.05,
-    rounds: int = 3,
-) -> tuple[Array, Array]:
+def episode_latencies(traces: Sequence[Trace], joint: JointModel) -> tuple[Array, Array]:
     """Latency of each trace of a joint and its standard deviation in s, each of shape (N,).
 
     Latency and damping are not distinguishable in the response to a sine. Gains are therefore
-    shared by the traces and fitted together with one latency per trace, in ``rounds``: a fit of
+    shared by the traces and fitted together with one latency per trace, in three rounds: a fit of
     gains and a common latency, and a Gauss-Newton step of all. The standard deviation includes the
-    gains of one episode about the shared ones, by a share ``gain_sd``. A prior of
-    ``latency_sd_s`` about the common latency keeps that of a trace that hardly moves. The search
-    starts from the joint's model, whose effects are fixed.
+    gains of one episode about the shared ones, by 2 %. A prior of 50 ms about the common latency
+    keeps that of a trace that hardly moves. The search starts from the joint's model, whose effects
+    are fixed.
     """
     row = joint_row(joint, traces[0].load)
     own = np.zeros(len(traces))  # latency of each beyond the common one
-    for _ in range(rounds):
+    for _ in range(3):
         shifted = [
             replace(trace, sample_delay_s=trace.sample_delay_s - later)
             for trace, later in zip(traces, own, strict=True)
@@ -61,7 +54,7 @@ def episode_latencies(
         problem = ServoProblem(shifted, row, gains(scale_inertia(traces, row)))
         best = fit(problem, row[None], rounds=2)
         row, unit = best.row, problem.unit
-        loose = np.append(unit[:2] / gain_sd, unit[2] / latency_sd_s) ** 2
+        loose = np.append(unit[:2] / 0.02, unit[2] / 0.05) ** 2
         normal = np.diag([0.0, 0.0, *np.full(own.size, loose[2])])
         slope = np.array([0.0, 0.0, *own / unit[2] * loose[2]])
         sd = np.empty(own.size)
@@ -158,15 +151,13 @@ def latencies(
     return _combined(kept, value[used], sd[used], windows, int(np.sum(~used)))
 
 
-def _windows(
-    name: str, whole: Trace, *, length_s: float = 6.0, fewest: int = 100
-) -> list[tuple[str, Trace]]:
+def _windows(name: str, whole: Trace, *, length_s: float = 6.0) -> list[tuple[str, Trace]]:
     """Windows of one recording, simulated from its start but scored separately."""
     windows = []
     for start in np.arange(whole.t[0], whole.t[-1], length_s):
         within = (whole.t >= start) & (whole.t < start + length_s)
         inside = whole.used & within
-        if inside.sum() >= fewest and np.ptp(whole.command[within]) > 0:
+        if inside.sum() >= 100 and np.ptp(whole.command[within]) > 0:
             windows.append((f"{name} from {start:.0f} s", replace(whole, used=inside)))
     return windows
 

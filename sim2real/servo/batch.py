@@ -59,11 +59,11 @@ class Batch:
 
     The noise is that of a sensor, whose slow drift is ``bounded``; otherwise it is unbounded, to
     include errors that no model explains, or always ``white``. Where all traces have ``SlowErrors``
-    it is white beside these, and ``slow``. ``period``, the median time between
-    samples in s, determines the number of lags of the noise model. ``inertia`` is that of the load
-    of the first recording of each joint in kg m2, (J,). ``substeps`` has those simulated
-    so far for each joint, shape (J,): a machine-independent measure of work, to which a sample and
-    the arrival of a set-point count one each.
+    it is white beside these, and ``slow``. ``period``, the median time between samples in s,
+    determines the number of lags of the noise model. ``inertia`` is that of the load of the first
+    recording of each joint in kg m2, (J,). ``substeps`` has those simulated so far for each joint,
+    (J,): a machine-independent measure of work, to which a sample and the arrival of a set-point
+    count one each.
     """
 
     def __init__(
@@ -114,11 +114,11 @@ class Batch:
 
         Of ``blocks`` of each recording; with the first ``deep`` variants only, and of each variant
         with itself, by default with all of them. The ``autoregression`` of each problem (N, lags)
-        is by default fitted by least squares to its residual. With ``keep``, residuals
-        are returned as well; with ``rough``, the servos are also simulated with the
-        longer sub-steps of differences (``rollout.coarse_substep``), as for the choice of starting
-        points. ``alone``: the servos without their variants, with their ``angles``, which a further
-        evaluation then takes as ``known``; the variants are counted at the first.
+        is by default fitted by least squares to its residual. With ``keep``, residuals are returned
+        as well; with ``rough``, servos have the longer sub-steps of differences, too
+        (``rollout.coarse_substep``), as for the choice of starting points. ``alone``: the servos
+        without their variants, with their ``angles``, which a further evaluation then takes as
+        ``known``; the variants are counted at the first.
         """
         substeps = self._substeps(problems, rough=rough)
         signal = self._signal[problems.joint]
@@ -167,7 +167,7 @@ class Batch:
         signal, base = signals[problem, recording], place[problem, recording, 0]
         theta, servos = problems.theta[problem, variant], variant == 0
         fine, coarse = (x[problem, recording] for x in substeps)
-        measured, weight = self._simulator.position[signal[servos]], self._weight[signal]
+        measured, weight = (x[signal[servos]] for x in (self._simulator.position, self._weight))
 
         def by_recording(values: Array) -> Array:
             """Values of all servos, shape (N, R, T)."""
@@ -181,7 +181,7 @@ class Batch:
             angle = known[problem[servos], recording[servos]]
         extras = [by_recording(angle)] if alone else []
         with np.errstate(over="ignore", invalid="ignore"):  # of diverged simulations
-            left = np.where(np.isnan(measured), 0.0, (angle - measured) * weight[servos])
+            left = np.where(np.isnan(measured), 0.0, (angle - measured) * weight)
             if V > 1:
                 exact, angle = angle, self._simulator.run(theta, signal, coarse)
                 # some are unstable with long sub-steps, as under strong nonlinear damping
@@ -190,11 +190,12 @@ class Batch:
                 again = np.isin(base, base[unstable])
                 if again.any():
                     angle[again] = self._simulator.run(theta[again], signal[again], fine[again])
-                angle = (angle - angle[base]) * problems.scale[problem, variant][:, None]
-                angle *= weight
+                angle -= angle[base]
+                angle *= problems.scale[problem, variant][:, None]
+                angle *= self._weight[signal]
         angle[servos] = left
         if keep:
-            extras.append(by_recording(left / weight[servos]))
+            extras.append(by_recording(left / weight))
         row, recorded, rows = to_warp(angle), to_warp(signal.astype(np.int32)), to_warp(place)
         layout = [rows, recorded, to_warp(self._simulator.length)]
         if coefficients is None:

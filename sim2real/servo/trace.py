@@ -180,39 +180,30 @@ def trace(recording: Recording, joint: str) -> Trace:
 
 
 def reported_drive(
-    t: Array,
-    command: Array,
-    position: Array,
-    load: Array,
-    sample_delay_s: float = 0.0,
-    *,
-    fewest: int = 50,
-    saturated: float = 0.95,
-    rounding: float = 0.01,
-    unexplained: float = 0.02,
+    t: Array, command: Array, position: Array, load: Array, sample_delay_s: float = 0.0
 ) -> ReportedDrive | None:
     """The controller, if the reported load is the drive.
 
     The load (T,) counts as the drive, as a share of the full drive, if it is between -1 and 1 (up
-    to ``rounding``) and proportional to the control error until it is ``saturated``, but for a
-    share ``unexplained`` of its power; a measured torque or current is not. Gain, latency and
-    derivative time then follow by least squares from at least ``fewest`` samples below the limit,
-    to first order in the latency. The prior of both times is 0 with a sampling period as standard
-    deviation, which decides where one frequency alone cannot tell them from the gain. Angles and
-    loads are sampled ``sample_delay_s`` after ``t``; NaN where missing.
+    to 0.01) and proportional to the control error until it is saturated, from 0.95 on, but for 2 %
+    of its power; a measured torque or current is not. Gain, latency and derivative time then follow
+    by least squares from at least 50 samples below the limit, to first order in the latency. The
+    prior of both times is 0 with a sampling period as standard deviation, which decides where one
+    frequency alone cannot tell them from the gain. Angles and loads are sampled ``sample_delay_s``
+    after ``t``; NaN where missing.
     """
     error = command - position
     valid = np.isfinite(error) & np.isfinite(load)
-    if np.count_nonzero(valid) < fewest or np.abs(load[valid]).max() > 1 + rounding:
+    if np.count_nonzero(valid) < 50 or np.abs(load[valid]).max() > 1.01:
         return None
     t, command, position, error, drive = (x[valid] for x in (t, command, position, error, load))
-    unsaturated = (np.abs(drive) < saturated) & (np.abs(error) > 0)
-    if np.count_nonzero(unsaturated) < fewest:
+    unsaturated = (np.abs(drive) < 0.95) & (np.abs(error) > 0)
+    if np.count_nonzero(unsaturated) < 50:
         return None
     slope = float(error[unsaturated] @ drive[unsaturated] / np.sum(error[unsaturated] ** 2))
     residual = drive - np.clip(slope * error, -1.0, 1.0)
     power = float(np.sum(drive**2))
-    if slope <= 0 or power == 0 or np.sum(residual**2) > unexplained * power:
+    if slope <= 0 or power == 0 or np.sum(residual**2) > 0.02 * power:
         return None
     period = float(np.median(np.diff(t)))
     terms = np.stack([error, np.gradient(command, t), np.gradient(position, t)], axis=1)
