@@ -133,10 +133,7 @@ def windows_of(swims: Sequence[Swim], residual: Sequence[Array]) -> dict[str, tu
 
 
 def _parts(swims: Sequence[Swim], signal: int) -> Iterator[tuple[str, Mask, str]]:
-    """Parts of the motion of a joint, or of the last and the body: words, samples, advice.
-
-    A joint rests below 5 % of the rate of its fastest 1 %.
-    """
+    """Parts of the motion of a joint, or of the last and the body: words, samples, advice."""
 
     def of_all(signal: int) -> tuple[Array, Array]:
         """Swing and slow part of a signal in all swims."""

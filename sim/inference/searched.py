@@ -1,8 +1,4 @@
-"""Search for the effects that are missing in swims, before probabilities are computed.
-
-One batch of rollouts predicts the gain of every effect near a fit, and the most promising are
-fitted, together with servos and force law.
-"""
+"""Search for the effects that are missing in swims, before probabilities are computed."""
 
 from __future__ import annotations
 
@@ -13,17 +9,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sim.inference.coordinates import Coordinates, is_shown, signals_of
+from sim.inference.coordinates import is_shown, signals_of
 from sim.inference.residuals import gains
 from sim.inference.signal_error import kinds_of
 from sim.inference.swim_problem import COST, LOST, Fit, SwimPrior, SwimProblem
-from sim.inference.swims import Swim, SwimSimulator
 from sim2real.arrays import Array
 from sim2real.body import listed, values
 from sim2real.inference.selection import Breadth, Hypothesis, Ledger, Members, select
 from sim2real.model import Model
 from sim2real.progress import Progress
-from sim2real.robot import Robot
 
 HELD_OUT = 0.3
 """Share of each swim, at its end, on which predictions are compared."""
@@ -56,11 +50,7 @@ class Searched:
 
 
 def searched(
-    swims: Sequence[Swim],
-    model: Model,
-    robot: Robot,
-    simulate: SwimSimulator,
-    prior: SwimPrior,
+    problem: SwimProblem,
     progress: Progress = lambda share: None,
     simulated: Model | None = None,
     *,
@@ -72,16 +62,14 @@ def searched(
     counts it as noise, except for effects of ``simulated``, the model that the fluid simulated.
     ``referred``: the prior has reference swims.
     """
-    problem = SwimProblem(Coordinates.of(robot, model), swims, simulate, prior)
     found = _search(problem, lambda share: progress(0.5 * share))
-    if "water" in model.body:
+    if "water" in problem.coordinates.model.body:
         best = next(h for h in found if h.members)
         changes = changed(problem, best.fit.x, simulated)
         parts = zip(changes, problem.blocks, problem.weights, strict=True)
         size = sum(float(np.sum(b.about(change) * w**2)) for change, b, w in parts)
         if 0.5 * _SHARE**2 * size > 3.0:  # log-evidence from which such an error counts as noise
-            wider = doubtful(problem, changes)
-            problem = SwimProblem(Coordinates.of(robot, model), swims, simulate, wider)
+            problem = replace(problem, prior=doubtful(problem, changes))
             found = _search(problem, lambda share: progress(0.5 + 0.4 * share))
     tried = {hypothesis.members: hypothesis for hypothesis in found}
     plain, best = tried[frozenset()], next(h for h in found if h.members)
@@ -108,36 +96,25 @@ def searched(
     return Searched(problem, tried, plain, best, held, raw)
 
 
-def _search(
-    problem: SwimProblem,
-    progress: Progress,
-    *,
-    most: int = 2,
-    rivals: int = 4,
-    close: float = 10.0,
-    settled: float = 0.7,
-) -> list[Hypothesis[Fit]]:
-    """Every set that was tried, of at most ``most`` effects besides lost frames, best first.
-
-    The best set, its subsets and at most ``rivals``, ``close`` to it in log-evidence, are refitted
-    until new derivatives change their loss by less than ``settled``.
-    """
+def _search(problem: SwimProblem, progress: Progress) -> list[Hypothesis[Fit]]:
+    """Every set that was tried, of at most two effects besides lost frames, best first."""
     ledger: Ledger[Fit] = Ledger(0)
     ledger.keep(problem.plain())
     progress(0.1)
     lost = LOST in problem.coordinates.effects and problem.counted(frozenset({LOST})) > 0
-    breadth = Breadth(most=most + lost, added=5, rivals=3, within=np.inf)
+    breadth = Breadth(most=2 + lost, added=5, rivals=3, within=np.inf)
     select(problem, [ledger], breadth, lambda share: progress(0.1 + 0.5 * share))
     for subset in _subsets(ledger.best.members)[1:-1]:  # another start, another minimum
         for hypothesis in problem.refit([(ledger, subset, problem.start(ledger, subset))]):
             ledger.keep(hypothesis)
     first, *others = sorted((h for h in ledger.tried.values() if h.members), key=_evidence)
-    near = [h.members for h in others[:rivals] if h.evidence > first.evidence - close]
+    near = [h.members for h in others[:4] if h.evidence > first.evidence - 10.0]
+    # those near the best are fitted until new derivatives hardly change their loss
     for members in {*near, *_subsets(first.members)[1:]} & ledger.tried.keys():
         for _ in range(3):
             fit = ledger.tried[members].fit
             ledger.tried[members] = problem.refined(members, fit, fit)
-            if abs(fit.loss - ledger.tried[members].fit.loss) < settled:
+            if abs(fit.loss - ledger.tried[members].fit.loss) < 0.7:
                 break
     progress(1.0)
     return sorted(ledger.tried.values(), key=_evidence)
