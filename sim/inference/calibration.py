@@ -35,9 +35,8 @@ from sim.inference.swims import (
     SwimSimulator,
     by_followed_twin,
     by_twin,
-    names_in_files,
+    signals_of_robot,
     simulated,
-    units_of,
     with_values,
 )
 from sim.twin.twin import SUBSTEPS
@@ -292,7 +291,7 @@ def _tables(fit: Calibrated, where: str, robot: Robot) -> list[Block]:
         for p, best, (low, high) in zip(fit.free, fit.best, fit.interval(), strict=True)
     ]
     errors = []
-    signals = zip(units_of(robot).items(), *fit.rmse, fit.noise, strict=True)
+    signals = zip(signals_of_robot(robot).values(), *fit.rmse, fit.noise, strict=True)
     for (name, unit), before, after, noise in signals:
         change, of_it = change_text(before, after), ""
         if noise > 0:
@@ -311,7 +310,7 @@ def _with_errors(fit: Calibrated, robot: Robot, cell_m: float | None = None) -> 
     figures = (row.tolist() for row in (fit.train[1], fit.rmse[1], fit.rmse[0]))
     errors = {
         name: {"train": train, "heldout": after, "heldout_before": before}
-        for name, train, after, before in zip(names_in_files(robot), *figures, strict=True)
+        for name, train, after, before in zip(signals_of_robot(robot), *figures, strict=True)
     }
     names, covariance = [p.name for p in fit.free], fit.covariance.tolist()
     of_names = {"names": names, "mean": fit.centre.tolist(), "covariance": covariance}

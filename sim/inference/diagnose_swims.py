@@ -16,11 +16,18 @@ import numpy as np
 from sim.inference.coordinates import SERVOS, Coordinates, Name, Names, signals_at
 from sim.inference.in_water import resimulated, robot_in_water, water_of
 from sim.inference.law_error import IN_WATER, LAW_ERROR, LawError, learned, read_law_error
-from sim.inference.residuals import SHAPES, located, residuals, windows_of
-from sim.inference.searched import HELD_OUT, Searched, searched
+from sim.inference.searched import (
+    HELD_OUT,
+    SHAPES,
+    Searched,
+    located,
+    residuals,
+    searched,
+    windows_of,
+)
 from sim.inference.swim_decision import Decided, Named, Numbers, decide
 from sim.inference.swim_problem import Fit, SwimProblem
-from sim.inference.swims import FLUID_THREADS, Swim, SwimSimulator, names_in_files, swim_of
+from sim.inference.swims import FLUID_THREADS, Swim, SwimSimulator, signals_of_robot, swim_of
 from sim.robot.swimmer import CONTROL_S
 from sim2real.arrays import Array
 from sim2real.body import body_effect, material_note
@@ -122,7 +129,7 @@ def diagnosis_of(result: Searched, robot: Robot, law_error: LawError) -> Diagnos
     numbers = law_error.decisions
     decided = decide(result.raw, numbers)
     c, plain, chosen = result.problem.coordinates, result.plain, result.found[decided.offered]
-    names, likely = names_in_files(robot), numbers["likely"]
+    names, likely = list(signals_of_robot(robot)), numbers["likely"]
     before, after = (_errors(result, one.members) for one in (plain, chosen))
     baseline, enriched = (
         {n: {"train": a, "heldout": b} for n, a, b in zip(names, *both.tolist(), strict=True)}

@@ -30,8 +30,6 @@ from sim2real.robot import Robot
 from sim2real.servo.trace import context_of
 from sim2real.velocity import body_velocity, turned
 
-SIGNALS = {"surge": "m/s", "sway": "m/s", "yaw rate": "rad/s"}
-"""Velocities of the head, and their units."""
 POSES = ("body.x_m", "body.y_m", "body.yaw_rad")
 HELD_OUT_SHARE = 1 / 3
 """Share of a swim, at its end, that a calibration does not use."""
@@ -128,15 +126,11 @@ class Swim:
         return replace(self, **{name: getattr(self, name)[:n] for name in names})
 
 
-def units_of(robot: Robot) -> dict[str, str]:
-    """Names of the 3 + J signals of a swim, with their units."""
-    return SIGNALS | {joint.name: "rad" for joint in robot.joints}
-
-
-def names_in_files(robot: Robot) -> list[str]:
-    """Names of the 3 + J signals of a swim in models and diagnoses."""
-    heads = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
-    return heads + [f"{joint.name}.position_rad" for joint in robot.joints]
+def signals_of_robot(robot: Robot) -> dict[str, tuple[str, str]]:
+    """Name and unit of the 3 + J signals of a swim, by their names in models and diagnoses."""
+    heads = {"surge": "m/s", "sway": "m/s", "yaw rate": "rad/s"}
+    named = {f"body.{name.replace(' ', '_')}": (name, unit) for name, unit in heads.items()}
+    return named | {f"{one.name}.position_rad": (one.name, "rad") for one in robot.joints}
 
 
 SwimSimulator = Callable[[Sequence[Model], Swim], Array]
