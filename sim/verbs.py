@@ -134,8 +134,8 @@ def calibrate(
     """
     from dataclasses import replace
 
-    from sim.inference.calibration import calibrate_body
-    from sim.inference.swims import swim_of
+    from sim.inference.calibration import calibrate_in_fluid, calibrate_in_twin
+    from sim.inference.swims import FLUID_THREADS, by_fluid, swim_of
     from sim2real.output import provenance
     from sim2real.plausible import admitted
 
@@ -144,10 +144,13 @@ def calibrate(
     read = recordings_to_fit(recordings)
     _, notes = admitted(read, machine)
     swims = [swim_of(recording, machine) for recording in read]
-    calibration = calibrate_body(
-        swims, start, machine, fit_gains=fit_gains, held_out=held_out, fluid=fluid, device=device,
-        cell_m=cell_m, rollouts=rollouts, seed=seed,
-    )  # fmt: skip
+    calibration = calibrate_in_twin(swims, start, machine, gains=fit_gains, held_out=held_out)
+    if fluid:
+        calibration = calibrate_in_fluid(
+            calibration,
+            lambda side: by_fluid(machine, cell_m=side, device=device, threads=FLUID_THREADS),
+            cell_m=cell_m, rollouts=rollouts, gains=fit_gains, held_out=held_out, seed=seed,
+        )  # fmt: skip
     origin = provenance([*read, machine, model], seed)
     calibrated = calibration.model
     notes = (*calibrated.notes, *(note for note in notes if note not in calibrated.notes))

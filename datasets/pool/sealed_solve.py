@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sim.inference.coordinates import Coordinates
 from sim.inference.diagnose_swims import diagnosis_of, likely_model
 from sim.inference.in_water import (
     by_twin_in_water,
@@ -32,7 +33,7 @@ from sim.inference.in_water import (
 )
 from sim.inference.law_error import FILE, IN_WATER, LawError, learned, read_law_error
 from sim.inference.searched import searched
-from sim.inference.swim_problem import SwimPrior
+from sim.inference.swim_problem import SwimPrior, SwimProblem
 from sim.inference.swims import swim_of
 from sim2real.commands.command import EXECUTOR, add_options, where_jobs_run
 from sim2real.diagnose.result import write_diagnosis
@@ -85,8 +86,8 @@ def answer(target: Path, *, case: str, water_folder: str | None, again_folder: s
         other = read_water_swims(again / f"{place.name}.npz")
         simulate = by_twin_in_water(robot, simulated_model, other, threads=1)
     swims = [swim_of(read_recording(path), robot) for path in sorted(folder.glob("*.csv"))]
-    given = swims, model, robot, simulate, prior
-    found = searched(*given, simulated=simulated_model, referred=referred)
+    problem = SwimProblem(Coordinates.of(robot, model), swims, simulate, prior)
+    found = searched(problem, simulated=simulated_model, referred=referred)
     diagnosis = diagnosis_of(found, robot, known)
     write_diagnosis(diagnosis, target / "diagnosis.json", "enriched.json")
     assert diagnosis.baseline is not None

@@ -76,12 +76,15 @@ def _shown(
     shown = not options.no_page or options.rerun or options.mcap
     if not (shown and recordings[0].is_swim):
         return lambda: diagnosis_section(diagnosis), lambda: diagnosed(diagnosis)
-    from sim.inference.diagnose_swims import simulator_of
+    from sim.inference.in_water import robot_in_water
     from sim.inference.swims import swim_of
     from sim.view.swim_page import swims_scene, swims_section
 
     swims = [swim_of(recording, robot) for recording in recordings]
-    simulate = simulator_of(robot, read_model(options.model), options.in_water, options.device)
+    files = [options.in_water] if options.in_water else []
+    _, corrected = robot_in_water(robot, read_model(options.model), files)
+    # there is none where the fluid was simulated again
+    simulate = None if files and options.device != "cpu" else corrected
     return (
         lambda: swims_section(diagnosis, swims, simulate, robot),
         lambda: swims_scene(diagnosis, recordings, swims, simulate, robot),

@@ -9,7 +9,7 @@ they include the shift of a parameter relative to cells of twice the size (Roach
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -30,16 +30,13 @@ from sim.inference.in_water import emulator
 from sim.inference.law_error import marginalised
 from sim.inference.swim_problem import SwimPrior, SwimProblem
 from sim.inference.swims import (
-    FLUID_THREADS,
     HELD_OUT_SHARE,
     Swim,
     SwimSimulator,
-    by_fluid,
     by_followed_twin,
     by_twin,
-    names_in_files,
+    signals_of_robot,
     simulated,
-    units_of,
     with_values,
 )
 from sim.twin.twin import SUBSTEPS
@@ -74,8 +71,8 @@ class Calibrated:
     rmse: Array
     train: Array  # likewise on the fitted part
     noise: Array  # standard deviation of the recordings' noise, shape (3 + J,); 0 in the twin
-    # shift of each parameter relative to cells of twice the size, shape (F,); None if that was not
-    # requested, or such cells stop the robot
+    # in the fluid, shift of each parameter relative to cells of twice the size, shape (F,); None if
+    # such cells stop the robot
     grid: Array | None = None
 
     def interval(self, level: float = 0.9) -> Array:
@@ -103,48 +100,6 @@ def calibrate(
     return Calibrated(result, tuple(free), best, best, covariance, *errors, noise)
 
 
-def calibrate_in_fluid(
-    swims: Sequence[Swim],
-    model: Model,
-    robot: Robot,
-    fluid: SwimSimulator,
-    *,
-    cell_m: float,
-    rollouts: int,
-    coarser: SwimSimulator | None = None,
-    gains: bool = False,
-    held_out: float = HELD_OUT_SHARE,
-    start: Model | None = None,
-    seed: int = 0,
-) -> Calibrated:
-    """Fit water, centre of mass and servos to swims in the fluid, by an ``emulator``.
-
-    ``model`` is the model before, ``start`` that of the fit (``model`` where None), ``coarser`` the
-    fluid in cells of twice the size. The error of the fluid, in cells of 1 cm, is a fifth of the
-    signal: a swimmer is up to 12 % too fast or too slow there (``reports/resolution``).
-    """
-    parts = [swim.first(1 - held_out) for swim in swims]
-    water = water_parameters(robot, cell_m)
-    centre = with_values(start or model, {water[-1].name: water[-1].nominal})
-    servos = servo_parameters(centre, robot, gains=gains)
-    free = [*servos, *water, *effect_parameters("com_offset")]
-
-    def fitted(simulator: SwimSimulator, centre: Model, seed: int) -> tuple[Model, Array, Array]:
-        near = emulator(simulator, parts, centre, free, count=rollouts, seed=seed)
-        return _fit(parts, centre, free, near, 0.2)
-
-    result, best, covariance = fitted(fluid, fitted(fluid, centre, seed)[0], seed + 1)
-    grid = None
-    if coarser is not None:
-        with suppress(InputError):
-            grid = np.abs(fitted(coarser, result, seed)[1] - best)
-    errors = _errors(swims, [model, result], fluid, held_out)
-    if not np.isfinite(errors[0]).all():
-        raise InputError("calibrate", "fluid", "the robot is stopped", "finer cells, more rollouts")
-    noise = np.sqrt(np.mean([swim.noise_sd**2 for swim in swims], axis=0))
-    return Calibrated(result, tuple(free), best, best, covariance, *errors, noise, grid)
-
-
 def _fit(
     swims: Sequence[Swim],
     model: Model,
@@ -152,10 +107,10 @@ def _fit(
     simulate: SwimSimulator,
     share: float | None = None,
 ) -> tuple[Model, Array, Array]:
-    """The fitted model, its parameters (F,), and their covariance, for each the larger one, (F, F).
+    """The fitted model, its parameters (F,), and the larger one of their covariances, (F, F).
 
-    The error is the residual or, with ``share``, that share of the signal in a block, with noise; a
-    signal counts as one sample per autocorrelation time.
+    The error is the residual, or a ``share`` of the signal in a block, with noise; a signal counts
+    as one sample per autocorrelation time.
     """
     c, finest = Coordinates(model, tuple(varied(free))), 1e-6  # a fit may be exact
     variance = np.diag(c.each("prior_sd") ** 2)
@@ -240,22 +195,12 @@ class Calibration(NotebookDisplay):
         return swim_panels(self.swims[swim], models, self.simulator, self.robot)
 
 
-def calibrate_body(
-    swims: Sequence[Swim],
-    model: Model,
-    robot: Robot,
-    *,
-    fit_gains: bool,
-    held_out: float,
-    fluid: bool,
-    device: str,
-    cell_m: float,
-    rollouts: int,
-    seed: int,
+def calibrate_in_twin(
+    swims: Sequence[Swim], model: Model, robot: Robot, *, gains: bool, held_out: float
 ) -> Calibration:
-    """Fit the body to swims in the twin and from there in the fluid, as ``sim.verbs.calibrate``."""
-    free, by = twin_parameters(model, robot, gains=fit_gains), by_twin(robot)
-    twin = calibrate(swims, model, free, by, held_out=held_out)
+    """Fit the body to swims in the twin, from a model with servos and perhaps a body."""
+    free, simulator = twin_parameters(model, robot, gains=gains), by_twin(robot)
+    twin = calibrate(swims, model, free, simulator, held_out=held_out)
     # the twin as it is used later: larger sub-steps act as another latency and another damping
     followed = by_followed_twin(robot, substeps=SUBSTEPS)
     parts = [swim.first(1 - held_out) for swim in swims]
@@ -264,22 +209,49 @@ def calibrate_body(
     law = np.array([p.name.startswith("twin.") for p in free])
     wider = _widened(twin.covariance, np.where(law, 0.0, np.diag(covariance)))
     twin = replace(twin, centre=np.where(law, twin.best, mean), covariance=wider)
-    result = Calibration(_with_errors(twin, robot), model, robot, tuple(swims), by, twin)
-    if not fluid:
-        return result
-    pairs = zip(free, twin.best.tolist(), strict=True)
-    start = with_values(model, {p.name: value for p, value in pairs if "latency" in p.name})
-    start = replace(start, body={**model.body, "twin": twin.model.body["twin"]})
-    fine, coarser = (
-        by_fluid(robot, cell_m=side_m, device=device, threads=FLUID_THREADS)
-        for side_m in (cell_m, 2 * cell_m)
-    )
-    in_fluid = calibrate_in_fluid(
-        swims, model, robot, fine, cell_m=cell_m, rollouts=rollouts, coarser=coarser,
-        gains=fit_gains, held_out=held_out, start=start, seed=seed,
-    )  # fmt: skip
-    calibrated = _with_errors(in_fluid, robot, cell_m)
-    return replace(result, model=calibrated, simulator=fine, in_fluid=in_fluid)
+    return Calibration(_with_errors(twin, robot), model, robot, tuple(swims), simulator, twin)
+
+
+def calibrate_in_fluid(
+    begun: Calibration,
+    by: Callable[[float], SwimSimulator],
+    *,
+    cell_m: float,
+    rollouts: int,
+    gains: bool,
+    held_out: float,
+    seed: int,
+) -> Calibration:
+    """Fit water, centre of mass and servos in the fluid, by an ``emulator``, from that in the twin.
+
+    ``by`` gives the fluid in cells of a size. Its error, in cells of 1 cm, is a fifth of the
+    signal: a swimmer is up to 12 % too fast or too slow there (``reports/resolution``).
+    """
+    swims, model, robot, twin = begun.swims, begun.before, begun.robot, begun.twin
+    parts = [swim.first(1 - held_out) for swim in swims]
+    water, fluid = water_parameters(robot, cell_m), by(cell_m)
+    known = zip((p.name for p in twin.free), twin.best.tolist(), strict=True)
+    centre = with_values(model, {name: value for name, value in known if "latency" in name})
+    centre = replace(centre, body={**model.body, "twin": twin.model.body["twin"]})
+    centre = with_values(centre, {water[-1].name: water[-1].nominal})
+    servos = servo_parameters(centre, robot, gains=gains)
+    free = [*servos, *water, *effect_parameters("com_offset")]
+
+    def fitted(simulator: SwimSimulator, centre: Model, seed: int) -> tuple[Model, Array, Array]:
+        near = emulator(simulator, parts, centre, free, count=rollouts, seed=seed)
+        return _fit(parts, centre, free, near, 0.2)
+
+    result, best, covariance = fitted(fluid, fitted(fluid, centre, seed)[0], seed + 1)
+    grid = None
+    with suppress(InputError):
+        grid = np.abs(fitted(by(2 * cell_m), result, seed)[1] - best)
+    errors = _errors(swims, [model, result], fluid, held_out)
+    if not np.isfinite(errors[0]).all():
+        raise InputError("calibrate", "fluid", "the robot is stopped", "finer cells, more rollouts")
+    noise = np.sqrt(np.mean([swim.noise_sd**2 for swim in swims], axis=0))
+    found = Calibrated(result, tuple(free), best, best, covariance, *errors, noise, grid)
+    calibrated = _with_errors(found, robot, cell_m)
+    return replace(begun, model=calibrated, simulator=fluid, in_fluid=found)
 
 
 @result_section.register
@@ -319,7 +291,7 @@ def _tables(fit: Calibrated, where: str, robot: Robot) -> list[Block]:
         for p, best, (low, high) in zip(fit.free, fit.best, fit.interval(), strict=True)
     ]
     errors = []
-    signals = zip(units_of(robot).items(), *fit.rmse, fit.noise, strict=True)
+    signals = zip(signals_of_robot(robot).values(), *fit.rmse, fit.noise, strict=True)
     for (name, unit), before, after, noise in signals:
         change, of_it = change_text(before, after), ""
         if noise > 0:
@@ -338,7 +310,7 @@ def _with_errors(fit: Calibrated, robot: Robot, cell_m: float | None = None) -> 
     figures = (row.tolist() for row in (fit.train[1], fit.rmse[1], fit.rmse[0]))
     errors = {
         name: {"train": train, "heldout": after, "heldout_before": before}
-        for name, train, after, before in zip(names_in_files(robot), *figures, strict=True)
+        for name, train, after, before in zip(signals_of_robot(robot), *figures, strict=True)
     }
     names, covariance = [p.name for p in fit.free], fit.covariance.tolist()
     of_names = {"names": names, "mean": fit.centre.tolist(), "covariance": covariance}

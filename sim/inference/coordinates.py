@@ -74,9 +74,7 @@ _HIGHEST = {"thrust": 2.0, "wake": 0.95, "wake_s": 10.0}
 """Prior standard deviations and upper bounds that are not multiples of the usual value."""
 
 
-def law_parameters(
-    law: Coefficients = FITTED, names: Sequence[str] = _CALIBRATED
-) -> list[Parameter]:
+def law_parameters(law: Coefficients, names: Sequence[str]) -> list[Parameter]:
     """Coefficients of the twin's law, about those of ``law``."""
     out = []
     for name in names:
@@ -107,7 +105,7 @@ def twin_parameters(model: Model, robot: Robot, *, gains: bool = False) -> list[
     """Parameters of a calibration in the twin: its law, the appendages' areas, the servos."""
     servos = servo_parameters(model, robot, gains=gains)
     law = Coefficients.of(model.body) if "twin_links" in model.body else FITTED
-    return [*law_parameters(law), *appendage_parameters(robot), *servos]
+    return [*law_parameters(law, _CALIBRATED), *appendage_parameters(robot), *servos]
 
 
 def appendage_parameters(robot: Robot) -> list[Parameter]:
@@ -299,8 +297,8 @@ class Coordinates:
     def about(self, x: Array) -> tuple[Array, Index]:
         """Points (F + 1, F) for one-sided derivatives about x, and the base row of each, (F,).
 
-        Row 0 is x, row k + 1 is x with a step in column k; its base is row 0. The place of an
-        effect of size 0 has no influence: its base is the row with a step in the size.
+        Row 0 is x, row k + 1 is x with a step in column k. The place of an effect of size 0 has no
+        influence: its base is the row with a step in the size.
         """
         points = np.tile(x, (x.size + 1, 1))
         points[np.arange(1, x.size + 1), np.arange(x.size)] += self.steps(x)

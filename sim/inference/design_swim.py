@@ -127,8 +127,8 @@ def design_swim(
 class SwimObjective(RivalObjective):
     """Scores of the commands of a swim that begins in the middle of the pool, heading along x.
 
-    The share ``uniform`` of the probability is the same for all sets: the laws of the effects are
-    approximations. Signals are linear in the coordinates about the likeliest set.
+    A share of the probability is the same for all sets: the laws of the effects are approximations.
+    Signals are linear in the coordinates about the likeliest set.
     """
 
     rivals: SwimRivals
@@ -140,11 +140,10 @@ class SwimObjective(RivalObjective):
         robot: Robot,
         limits: SwimLimits,
         *,
-        uniform: float = 0.3,
         threads: int = 2,
         file: object = "diagnosis",
     ) -> None:
-        super().__init__(rivals, uniform=uniform)
+        super().__init__(rivals, uniform=0.3)
         self._robot, self._limits, self._threads = robot, limits, threads
         # with what the diagnosis has learned of the simulator's error
         learned: dict[str, float] = model.body.get("seems", {})
@@ -208,11 +207,7 @@ class SwimObjective(RivalObjective):
         return twin.swum(commands, np.zeros((N, 3)), np.arange(N))
 
     def _expansion(self, file: str) -> tuple[Array, Array]:
-        """Points (M + 2 C, F): the sets, then pairs of which C coordinates differ by a step.
-
-        Also roots of the covariance of these coordinates in steps, by set, shape (M, G, C): of its
-        estimate, and of the variation between swims.
-        """
+        """Points (M + 2 C, F): sets, and steps of C coordinates; roots of variances (M, G, C)."""
         c, sets, M = self._coordinates, self.rivals.sets, len(self.rivals.sets)
         at, free = np.tile(c.nominal, (M, 1)), []
         for i, one in enumerate(sets):

@@ -13,14 +13,21 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.inference.coordinates import SERVOS, Name, Names, signals_at
+from sim.inference.coordinates import SERVOS, Coordinates, Name, Names, signals_at
 from sim.inference.in_water import resimulated, robot_in_water, water_of
 from sim.inference.law_error import IN_WATER, LAW_ERROR, LawError, learned, read_law_error
-from sim.inference.residuals import SHAPES, located, residuals, windows_of
-from sim.inference.searched import HELD_OUT, Searched, searched
+from sim.inference.searched import (
+    HELD_OUT,
+    SHAPES,
+    Searched,
+    located,
+    residuals,
+    searched,
+    windows_of,
+)
 from sim.inference.swim_decision import Decided, Named, Numbers, decide
-from sim.inference.swim_problem import Fit
-from sim.inference.swims import FLUID_THREADS, Swim, SwimSimulator, names_in_files, swim_of
+from sim.inference.swim_problem import Fit, SwimProblem
+from sim.inference.swims import FLUID_THREADS, Swim, SwimSimulator, signals_of_robot, swim_of
 from sim.robot.swimmer import CONTROL_S
 from sim2real.arrays import Array
 from sim2real.body import body_effect, material_note
@@ -43,9 +50,6 @@ from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.units import readable, readable_name
 
-Resimulate = Callable[[Model], tuple[SwimSimulator, Model] | None]
-"""A function from a fitted model to a simulator corrected with it, ``in_water.resimulated``."""
-
 
 def diagnose_recorded_swims(
     recordings: Sequence[Recording],
@@ -58,8 +62,7 @@ def diagnose_recorded_swims(
 ) -> Diagnosis:
     """Diagnose swims in the twin or, with a file ``in_water``, relative to the fluid.
 
-    Where the file does not exist it is made; on a GPU as ``device`` the fluid simulates the swims
-    again with the effects that the first search found.
+    The file is made where there is none; on a GPU the fluid simulates what was found once more.
     """
     swims, earlier = ([swim_of(one, robot) for one in some] for some in (recordings, references))
     law_error, again = LAW_ERROR, None
@@ -67,8 +70,8 @@ def diagnose_recorded_swims(
         water = water_of(in_water, robot, model, [*swims, *earlier], device)
         law_error = read_law_error(IN_WATER)
         if device != "cpu":
-            prepared = partial(resimulated, robot, water.of(model), swims, water)
-            again = partial(prepared, device=device, threads=FLUID_THREADS)
+            given = robot, water.of(model), swims, water
+            again = partial(resimulated, *given, device=device, threads=FLUID_THREADS)
     start, simulate = robot_in_water(robot, model, [in_water] if in_water else [])
     with progress_bar("diagnose") as progress:
         diagnosis = diagnose_swims(
@@ -85,15 +88,6 @@ def diagnose_recorded_swims(
     return replace(diagnosis, separations=told, provenance=origin)
 
 
-def simulator_of(
-    robot: Robot, model: Model, in_water: Path | None = None, device: str = "cpu"
-) -> SwimSimulator | None:
-    """The simulator of a diagnosis, for plots; None where the fluid was simulated again."""
-    if in_water is not None and device != "cpu":
-        return None
-    return robot_in_water(robot, model, [in_water] if in_water else [])[1]
-
-
 def diagnose_swims(
     swims: Sequence[Swim],
     model: Model,
@@ -102,7 +96,7 @@ def diagnose_swims(
     *,
     references: Sequence[Swim] = (),
     law_error: LawError = LAW_ERROR,
-    resimulate: Resimulate | None = None,
+    resimulate: Callable[[Model], tuple[SwimSimulator, Model] | None] | None = None,
     progress: Progress = lambda share: None,
 ) -> Diagnosis:
     """Find the effects of body and camera that the simulator leaves out of swims in one pool.
@@ -112,12 +106,12 @@ def diagnose_swims(
     exact for, or None. Errors of the diagnosis are held-out errors of the speed over ground, m/s.
     """
     prior = learned(references, model, robot, simulate, law_error)
-    given = swims, model, robot
-    referred = bool(references)
-    result = searched(*given, simulate, prior, progress, referred=referred)
-    again = resimulate and resimulate(likely_model(result, law_error))
-    if again:
-        result = searched(*given, again[0], prior, simulated=again[1], referred=referred)
+    problem = SwimProblem(Coordinates.of(robot, model), swims, simulate, prior)
+    result = searched(problem, progress, referred=bool(references))
+    if again := resimulate and resimulate(likely_model(result, law_error)):
+        exact, simulated = again
+        problem = replace(problem, simulate=exact)
+        result = searched(problem, simulated=simulated, referred=bool(references))
     return diagnosis_of(result, robot, law_error)
 
 
@@ -134,7 +128,7 @@ def diagnosis_of(result: Searched, robot: Robot, law_error: LawError) -> Diagnos
     numbers = law_error.decisions
     decided = decide(result.raw, numbers)
     c, plain, chosen = result.problem.coordinates, result.plain, result.found[decided.offered]
-    names, likely = names_in_files(robot), numbers["likely"]
+    names, likely = list(signals_of_robot(robot)), numbers["likely"]
     before, after = (_errors(result, one.members) for one in (plain, chosen))
     baseline, enriched = (
         {n: {"train": a, "heldout": b} for n, a, b in zip(names, *both.tolist(), strict=True)}
@@ -168,11 +162,7 @@ def diagnosis_of(result: Searched, robot: Robot, law_error: LawError) -> Diagnos
 def _mismatch(
     result: Searched, names: Sequence[str], before: Array, after: Array
 ) -> tuple[tuple[Mismatch, ...], str]:
-    """Signals with a large share of the residual, or that effects improve, and what to record.
-
-    The signal with the largest share comes first. Shares are of the end of the swims, by the fit to
-    their beginning; the rest is of the fit to all.
-    """
+    """Signals with much of the residual, or improved, the one with most first; what to record."""
     problem, swims = result.problem, result.problem.swims
     noise = np.mean([swim.noise_sd for swim in swims], axis=0)
     unseen = problem.rows(result.held[frozenset()].fit.x[None])[0]
@@ -236,7 +226,7 @@ def _named(
 
 
 def _estimates(
-    result: Searched, decided: Decided, name: Name, relative: float, *, samples: int = 400
+    result: Searched, decided: Decided, name: Name, relative: float
 ) -> dict[str, Estimate]:
     """Estimates of an effect's parameters, sampled, with a ``relative`` error of its size."""
     all_names = {named.name for named in decided.named}
@@ -245,8 +235,8 @@ def _estimates(
     own = c.effects[name]
     covariance = problem.covariance(fitted.members, fitted.fit)[np.ix_(own, own)]
     covariance += np.diag(problem.prior.imitation[own] ** 2 + (relative * x[own]) ** 2)
-    points = np.tile(x, (samples, 1))
-    points[:, own] = np.random.default_rng(0).multivariate_normal(x[own], covariance, samples)
+    points = np.tile(x, (400, 1))
+    points[:, own] = np.random.default_rng(0).multivariate_normal(x[own], covariance, len(points))
     points[0] = x
     drawn = [c.parameters(point) for point in c.clipped(points)]
     out = {}
@@ -290,23 +280,15 @@ def _remarks(result: Searched, decided: Decided, likely: float) -> Iterator[str]
 
 
 def _rival_sets(
-    result: Searched,
-    probability: Mapping[Names, float],
-    numbers: Numbers,
-    *,
-    most: int = 10,
-    least: float = 0.02,
+    result: Searched, probability: Mapping[Names, float], numbers: Numbers
 ) -> SwimRivals:
-    """The sets of effects that may be present, given the swims: the ``most`` probable.
-
-    Also sets below the probability ``least`` that have an effect which no earlier one has.
-    """
+    """The most probable sets, and those with an effect that no earlier one has; at most ten."""
     problem, c, prior = result.problem, result.problem.coordinates, result.problem.prior
     noises = [swim.pose_noise for swim in problem.swims]
     ranked = sorted(probability, key=lambda names: -probability[names])
-    chosen = [names for names in ranked if probability[names] > least][:most]
+    chosen = [names for names in ranked if probability[names] > 0.02][:10]
     for names in ranked:
-        if len(chosen) < most and not frozenset().union(*chosen).issuperset(names):
+        if len(chosen) < 10 and not frozenset().union(*chosen).issuperset(names):
             chosen.append(names)
     total = sum(probability[names] for names in chosen)
 

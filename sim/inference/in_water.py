@@ -2,8 +2,7 @@
 
 For a diagnosis the fluid simulates the recorded commands once, with the identified servos, and the
 twin predicts only differences (a control variate; Peherstorfer, Willcox and Gunzburger, SIAM Rev.
-60 (2018) 550). It is also simulated with other settings, and the share of each change is fitted.
-For a calibration an ``emulator`` is linear in the parameters.
+60 (2018) 550), also with other settings. For a calibration an ``emulator`` is linear.
 """
 
 from __future__ import annotations
@@ -129,10 +128,7 @@ def with_fluid_effects(model: Model, fitted: Model) -> Model:
 
 
 def differs(model: Model, fitted: Model) -> bool:
-    """Whether effects, or a servo, of a fitted model differ enough to be simulated in the fluid.
-
-    Gains by more than 5 %, latencies by more than 3 ms, friction by more than 0.01 N m.
-    """
+    """Whether a gain (by 5 %), latency (3 ms), friction (0.01 N m) or effect is another one."""
 
     def quantities(servo: JointModel) -> Array:
         gains = np.log([servo.kp_Nm_per_rad, servo.kd_Nms_per_rad]) / 0.05

@@ -154,7 +154,6 @@ def marginalised(
     free: Sequence[Parameter],
     best: Array,
     simulate: SwimSimulator,
-    law_error: LawError = LAW_ERROR,
 ) -> tuple[Array, Array]:
     """Mean (F,) and covariance (F, F) of parameters that a calibration fitted as ``best`` (F,).
 
@@ -163,7 +162,7 @@ def marginalised(
     their evidence (Hoeting, Madigan, Raftery and Volinsky, Statistical Science 14 (1999) 382).
     """
     c = Coordinates.of(robot, model, free)
-    usual = law_error.prior(c)
+    usual = LAW_ERROR.prior(c)
     own = np.array([k < len(free) and x.kind not in RELATIVE for k, x in enumerate(c.columns)])
     mean = np.where(own, c.nominal, usual.mean)
     variance = np.where(own, c.each("prior_sd") ** 2, np.diag(usual.covariance))
@@ -184,7 +183,7 @@ def marginalised(
     # the twin's error imitates gains, and latencies by the delay that it has in the joints' angles
     gains = np.array([x.kind in RELATIVE for x in c.columns])
     late = np.array([x.kind == f"servo{LATENCY}" for x in c.columns])
-    imitated = np.diag(usual.covariance) * gains + late * law_error.imitated["error.late"] ** 2
+    imitated = np.diag(usual.covariance) * gains + late * LAW_ERROR.imitated["error.late"] ** 2
     covariance += np.diag(imitated)
     # gains that a swim shows are combined with those before the fit
     stated = c.each("prior_sd") ** 2

@@ -80,9 +80,8 @@ class _Sets:
     def group(self, name: Name, *, wide: bool) -> tuple[Name, ...]:
         """The effect, and those that have nearly its evidence in its place in the best set.
 
-        The force of an effect on the water is predicted with an error in proportion to it, so that
-        differences of less than a share of the evidence that it adds do not identify the effect. If
-        ``wide``, with the next likeliest effects until it is likely, unless that takes many.
+        Forces on the water are predicted with an error in proportion, so that a share of the
+        gain does not identify one. If ``wide``, with the likeliest others until it is likely.
         """
         numbers, close = self.numbers, []
         for other in self.effects - self.best:

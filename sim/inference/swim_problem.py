@@ -90,11 +90,10 @@ class SwimProblem:
 
     def rows(self, points: Array) -> Array:
         """Weighted errors at points (E, F), shape (E, n)."""
-        parts = []
-        for swim, blocks, weight in zip(self.swims, self.blocks, self.weights, strict=True):
-            error = blocks.errors(signals_at(self.coordinates, swim, points, self.simulate))
-            parts.append((error * weight).reshape(len(points), -1))
-        return np.concatenate(parts, axis=1)
+        signals = (signals_at(self.coordinates, s, points, self.simulate) for s in self.swims)
+        parts = zip(self.blocks, signals, self.weights, strict=True)
+        rows = [(blocks.errors(x) * weight).reshape(len(points), -1) for blocks, x, weight in parts]
+        return np.concatenate(rows, axis=1)
 
     def of_swims(self, rows: Array) -> list[Array]:
         """Rows (n, ...) of each swim, shape (T, 3 + J, ...)."""
@@ -184,19 +183,13 @@ class SwimProblem:
         loss += float(gradient @ step) + 0.5 * float(step @ curvature @ step)
         volume = np.linalg.slogdet(curvature)[1] - np.linalg.slogdet(self.precision(members))[1]
         end = np.where(self.coordinates.in_fit(members), fit.x + step, 0.0)
-        place = self.coordinates.place.get(FILTER)
-        lag_s = 0.0 if place is None else float(end[place])
         direct = self.counted(members)
-        if lag_s > 0:
-            direct += sum(swim.pose_noise.log_ratio(lag_s) for swim in self.swims)
-        direct -= COST * len(members)
-        return direct - loss - 0.5 * float(volume)
+        if (k := self.coordinates.place.get(FILTER)) is not None:
+            direct += sum(swim.pose_noise.log_ratio(float(end[k])) for swim in self.swims)
+        return direct - COST * len(members) - loss - 0.5 * float(volume)
 
     def seems(self, members: Members, fit: Fit) -> Array:
-        """Step (F,) of all columns to the maximum of the posterior, with those of absent effects.
-
-        Columns that reach a bound are fixed there.
-        """
+        """Step (F,) to the maximum of the posterior, with absent effects, within the bounds."""
         _, gradient, curvature = self._expanded(members, fit)
         absent = ~self.coordinates.in_fit(members)
         reach = _AT_MOST * np.sqrt(np.diag(self.prior.covariance))

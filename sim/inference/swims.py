@@ -30,8 +30,6 @@ from sim2real.robot import Robot
 from sim2real.servo.trace import context_of
 from sim2real.velocity import body_velocity, turned
 
-SIGNALS = {"surge": "m/s", "sway": "m/s", "yaw rate": "rad/s"}
-"""Velocities of the head, and their units."""
 POSES = ("body.x_m", "body.y_m", "body.yaw_rad")
 HELD_OUT_SHARE = 1 / 3
 """Share of a swim, at its end, that a calibration does not use."""
@@ -65,25 +63,14 @@ class PoseNoise:
     def drawn(self, rng: np.random.Generator, shape: tuple[int, ...], period_s: float) -> Array:
         """Random samples of this noise, shape (..., T, 3)."""
         white = rng.standard_normal((*shape, 3)) * self.sd
-        weight = _filter_weight(self.lag_s, period_s)
+        weight = float(np.exp(-period_s / max(self.lag_s, 1e-9)))
         state = white[..., :1, :] * weight
         out, _ = lfilter([1 - weight], [1, -weight], white, axis=-2, zi=state)
         return np.asarray(out)
 
 
-def _filter_weight(lag_s: float, period_s: float) -> float:
-    """Weight of the previous output in a first-order filter."""
-    return float(np.exp(-period_s / lag_s)) if lag_s > 0 else 0.0
-
-
-def pose_noise(
-    poses: Array, period_s: float, *, sure: float = 5.0, most: float = 60.0, longest_s: float = 0.05
-) -> PoseNoise | None:
-    """Noise of poses (T, 3) at regular intervals, by third differences; None if they are few.
-
-    It counts as smoothed from a log-likelihood ratio of ``sure``, by a filter of at most
-    ``longest_s``: longer ones differ in the size of the noise only. Ratios are at most ``most``.
-    """
+def pose_noise(poses: Array, period_s: float) -> PoseNoise | None:
+    """Noise of poses (T, 3) at regular intervals, by third differences; None if they are few."""
     third = np.diff(poses, 3, axis=0)
     window = np.hanning(len(third))[:, None]
     hertz = np.fft.rfftfreq(len(third), period_s)
@@ -93,15 +80,17 @@ def pose_noise(
     angle = 2 * np.pi * period_s * hertz[high]
     power = np.abs(np.fft.rfft(third * window, axis=0)[high]) ** 2 / np.sum(window**2)
     flat = power / (2 * np.sin(angle / 2))[:, None] ** 6
-    weight = np.array([[_filter_weight(lag, period_s)] for lag in LAGS_S])
+    weight = np.exp(-period_s / np.maximum(LAGS_S, 1e-9))[:, None]
     response = (1 - weight) ** 2 / (1 + weight**2 - 2 * weight * np.cos(angle))
     square = np.mean(flat / response[:, :, None], axis=1)
     log_power = np.log(square).sum(axis=1) * angle.size + 3 * np.log(response).sum(axis=1)
     # the window correlates neighbouring frequencies: about two thirds are independent
     log_ratio = -2 / 3 * (log_power - log_power[0])
-    longest = np.searchsorted(LAGS_S, longest_s, side="right") - 1
-    best = min(int(np.argmax(log_ratio)), int(longest)) if log_ratio.max() >= sure else 0
-    return PoseNoise(np.sqrt(square[best]), float(LAGS_S[best]), np.clip(log_ratio, -most, most))
+    # longer time constants than 0.05 s differ in the size of the noise only
+    longest = np.searchsorted(LAGS_S, 0.05, side="right") - 1
+    best = min(int(np.argmax(log_ratio)), int(longest)) if log_ratio.max() >= 5.0 else 0
+    colour = np.clip(log_ratio, -60.0, 60.0)
+    return PoseNoise(np.sqrt(square[best]), float(LAGS_S[best]), colour)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,15 +126,11 @@ class Swim:
         return replace(self, **{name: getattr(self, name)[:n] for name in names})
 
 
-def units_of(robot: Robot) -> dict[str, str]:
-    """Names of the 3 + J signals of a swim, with their units."""
-    return SIGNALS | {joint.name: "rad" for joint in robot.joints}
-
-
-def names_in_files(robot: Robot) -> list[str]:
-    """Names of the 3 + J signals of a swim in models and diagnoses."""
-    heads = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
-    return heads + [f"{joint.name}.position_rad" for joint in robot.joints]
+def signals_of_robot(robot: Robot) -> dict[str, tuple[str, str]]:
+    """Name and unit of the 3 + J signals of a swim, by their names in models and diagnoses."""
+    heads = {"surge": "m/s", "sway": "m/s", "yaw rate": "rad/s"}
+    named = {f"body.{name.replace(' ', '_')}": (name, unit) for name, unit in heads.items()}
+    return named | {f"{one.name}.position_rad": (one.name, "rad") for one in robot.joints}
 
 
 SwimSimulator = Callable[[Sequence[Model], Swim], Array]
@@ -198,13 +183,11 @@ def _check(recording: Recording, robot: Robot) -> None:
     """Check that a recording is a swim of the robot, long enough for velocities."""
     validate_recording(recording, robot)
     where = recording.path or recording.name
-    for joint in robot.joints:
-        if joint.name not in recording.joints:
-            found, expected = ", ".join(recording.joints), f"the robot's joint {joint.name} too"
-            raise InputError(recording.file, "joints", found, expected)
-    for name in POSES:
-        if name not in recording.columns:
-            raise InputError(where, name, "no such column", "poses of the body, in a pool")
+    for joint in (joint.name for joint in robot.joints if joint.name not in recording.joints):
+        found = ", ".join(recording.joints)
+        raise InputError(recording.file, "joints", found, f"the robot's joint {joint} too")
+    for name in (name for name in POSES if name not in recording.columns):
+        raise InputError(where, name, "no such column", "poses of the body, in a pool")
     if np.isnan(recording.command).all():
         raise InputError(where, "header", "no J.command_rad column", "the set-points sent")
     if recording.duration_s < SHORTEST_S:
@@ -240,21 +223,16 @@ def seen(t: Array, track: Array, parameters: Sequence[Mapping[str, float]]) -> A
 
 def by_twin(robot: Robot, **options: Any) -> SwimSimulator:  # noqa: ANN401 - those of Twin
     """The reduced-order twin as a simulator."""
-
-    def run(models: Sequence[Model], swim: Swim) -> Array:
-        return Twin(robot, models, n_envs=len(models), **options).swum(swim.command, swim.start)
-
-    return run
+    return lambda models, swim: Twin(robot, models, n_envs=len(models), **options).swum(
+        swim.command, swim.start
+    )
 
 
 def by_fluid(robot: Robot, **options: Any) -> SwimSimulator:  # noqa: ANN401 - those of Swimmer
     """The lattice-Boltzmann fluid as a simulator."""
-
-    def run(models: Sequence[Model], swim: Swim) -> Array:
-        swimmer = Swimmer(robot, models, n_envs=len(models), **options)
-        return swum(swimmer, swim.command, swim.start)
-
-    return run
+    return lambda models, swim: swum(
+        Swimmer(robot, models, n_envs=len(models), **options), swim.command, swim.start
+    )
 
 
 def swum(swimmer: Swimmer, commands: Array, start: Array) -> Array:

@@ -1,8 +1,4 @@
-"""The coefficients of the twin's law, fitted to swims of a robot in the fluid.
-
-Least squares on surge, sway, yaw rate and the joints' angles, each in the root mean square of its
-own swim. Some swims are held out of the fit and scored.
-"""
+"""The coefficients of the twin's law, fitted to swims of a robot in the fluid by least squares."""
 
 from __future__ import annotations
 

@@ -12,9 +12,8 @@ from sim.inference.swims import (
     HELD_OUT_SHARE,
     Swim,
     SwimSimulator,
-    names_in_files,
+    signals_of_robot,
     simulated,
-    units_of,
 )
 from sim2real.diagnose.result import Diagnosis, NamedEffect, Rival, percent
 from sim2real.inference.segments import Window
@@ -66,8 +65,7 @@ def swim_panels(
     end = float(swim.t[-1])
     shaded = [(end * (1 - held_out), end)] if held_out else []
     panels = []
-    pairs = zip(units_of(robot).items(), names_in_files(robot), strict=True)
-    for k, ((name, unit), in_file) in enumerate(pairs):
+    for k, (in_file, (name, unit)) in enumerate(signals_of_robot(robot).items()):
         signals = {MEASURED: swim.signals[:, k], "before": before[:, k]}
         if models[0] is not models[1]:
             signals[label] = after[:, k]
@@ -99,9 +97,9 @@ def swims_section(
         "Root mean square error on the end of the swims, fitted to the part before; SI units."
     )
     blocks.append(Table(("signal", "before", "with what is named", ""), errors, of_errors))
-    names = dict(zip(names_in_files(robot), units_of(robot), strict=True))
+    names = signals_of_robot(robot)
     where = [
-        (names[entry.signal], f"{100 * entry.share:.0f} %", entry.where.partition(", ")[2])
+        (names[entry.signal][0], f"{100 * entry.share:.0f} %", entry.where.partition(", ")[2])
         for entry in diagnosis.mismatch
     ]
     if where:

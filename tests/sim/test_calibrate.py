@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from swimming_robots import FISH, servos
 
-from sim.inference.calibration import Calibrated, calibrate, calibrate_in_fluid
+from sim.inference.calibration import Calibrated, Calibration, calibrate, calibrate_in_fluid
 from sim.inference.coordinates import (
     effect_parameters,
     servo_parameters,
@@ -146,9 +146,11 @@ def some(*names):
     return [p for name in names for p in effect_parameters(name)]
 
 
-def calibrated(truth, count, **options):
-    given = [recorded(truth)], servos(), FISH, TWIN
-    return calibrate_in_fluid(*given, cell_m=0.01, rollouts=count, **options)
+def calibrated(truth, count, gains=False, coarser=lambda models, _: [[[np.nan] * 6] * 600]):
+    before = Calibrated(servos(), (), *np.zeros((6, 0)))
+    begun = Calibration(servos(), servos(), FISH, (recorded(truth),), TWIN, before)
+    options = {"cell_m": 0.01, "rollouts": count, "gains": gains, "held_out": 1 / 3, "seed": 0}
+    return calibrate_in_fluid(begun, {0.01: TWIN, 0.02: coarser}.get, **options).in_fluid
 
 
 def test_rollouts_that_were_stopped_are_left_out_and_most_must_be_whole():
@@ -189,7 +191,7 @@ def test_coarser_cells_widen_the_intervals():
     def thicker(models, swim):
         return TWIN([with_values(m, {"linear_drag.coefficient": 0.5}) for m in models], swim)
 
-    alone, with_coarse = (calibrated({}, 24, coarser=coarse) for coarse in (None, thicker))
+    alone, with_coarse = calibrated({}, 24), calibrated({}, 24, coarser=thicker)
     assert alone.best == pytest.approx(with_coarse.best)
     widths = [np.diff(one.interval(), axis=1)[:, 0] for one in (alone, with_coarse)]
     assert (widths[1] >= widths[0]).all()

@@ -279,10 +279,8 @@ def test_a_mount_that_drifts_is_no_effect_of_the_catalogue(few):
     pose[:, 1] = s * swim.pose[:, 0] + c * swim.pose[:, 1]
     pose[:, 2] += turned
     signals = np.concatenate([body_velocity(TIMES, pose), swim.signals[:, 3:]], axis=1)
-    simulate = by_followed_twin(FISH)
-    before = learned([], servos(), FISH, simulate, IN_WATER)
     drifts = replace(swim, pose=pose, start=pose[0], signals=signals)
-    found = searched([drifts], servos(), FISH, simulate, before)
+    found = searched(problem_of(drifts))
     shapes = found.raw["nameless"]["plain"]
     assert max(shapes, key=shapes.__getitem__) == "mount"
     gain = found.best.evidence - found.plain.evidence + COST * len(found.best.members)

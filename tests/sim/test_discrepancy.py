@@ -78,7 +78,7 @@ def test_an_error_that_is_usual_is_no_evidence():
 
     def evidence(share):
         swim = slower(swum({}, seed=3), share)
-        found = searched([swim], servos(), FISH, simulate, prior)
+        found = searched(SwimProblem(Coordinates.of(FISH, servos()), [swim], simulate, prior))
         gain = found.best.evidence - found.plain.evidence
         return gain + COST * len(found.best.members)
 

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from good_input import message, refused
 
-from sim.inference.diagnose_swims import simulator_of
-from sim.inference.swims import swim_of
+from sim.inference.swims import by_followed_twin, swim_of
 from sim.view.swim_page import swims_scene
 from sim2real.cli import main
 from sim2real.diagnose.result import Diagnosis
@@ -188,7 +187,7 @@ def test_a_diagnosis_shows_the_swims_of_both_models() -> None:
     }
     enriched = replace(plain, joints=slower)
     found = Diagnosis("explained", (), (), (), {}, {}, {}, enriched, baseline=plain)
-    simulate = simulator_of(robot, plain)
+    simulate = by_followed_twin(robot)
     scene = swims_scene(found, [recording], [swim], simulate, robot)
     assert [track.path for track in scene.tracks] == [
         ("p1", "body", "measured"),
