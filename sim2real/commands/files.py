@@ -86,7 +86,7 @@ def write_views(options: argparse.Namespace, scene: Callable[[], Scene]) -> None
     wanted = [name for name in _VIEWS if getattr(options, name) is not None]
     if not wanted:
         return
-    from sim2real.viewers.files import write_mcap, write_rerun
+    from sim2real.viewers.scenes import write_mcap, write_rerun
 
     shown = scene()
     for name in wanted:
