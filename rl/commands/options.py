@@ -128,6 +128,7 @@ _DEMO = """
 --out FOLDER = reports/demo: folder for the report
 """
 _FISH = "--robot fish.toml --model model.json"
+_POLICIES = "rl.commands.policies"
 _JOBS = EXECUTOR.format("all runs in one batch")
 COMMANDS = {
     "demo": Command("rl.commands.demo", [_DEMO], "--out reports/demo"),
@@ -138,7 +139,7 @@ COMMANDS = {
         resumes=True,
     ),
     "evaluate": Command(
-        "rl.commands.evaluate", [_WATER, _EVALUATE], f"policy.zip pnl --task turn {_FISH}"
+        f"{_POLICIES}:evaluate", [_WATER, _EVALUATE], f"policy.zip pnl --task turn {_FISH}"
     ),
     "reproduce": Command(
         "rl.commands.reproduce", [_REPRODUCE], "calibration turn --out reproduced"
@@ -152,14 +153,14 @@ COMMANDS = {
         types={"arms": lambda arm: arm.replace("all", "full")},
     ),
     "forecast": Command(
-        "rl.commands.forecast",
+        f"{_POLICIES}:forecast",
         [verbs.forecast, _FORECAST],
         f"policy.zip {_FISH} --ranges ranges.json --limit 'time_s<=6@0.95' --out forecast.json",
         resumes=True,
         leave_out=("kept",),
     ),
     "export": Command(
-        "rl.commands.export", [_EXPORT], "policy.zip --out policy.npz --format npz c"
+        f"{_POLICIES}:export", [_EXPORT], "policy.zip --out policy.npz --format npz c"
     ),
     "swim": Command(
         "rl.commands.swim",

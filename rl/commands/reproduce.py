@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from rl.commands.ablate import make_testbeds, reality_of
-from rl.commands.evaluate import table_line, trajectories
+from rl.commands.policies import table_line, trajectories
 from rl.experiments.episodes import FIGURES, Episodes, measured, summary
 from rl.experiments.film import Film, Reel
 from rl.experiments.named import controller_of, shown, with_price

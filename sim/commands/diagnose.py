@@ -11,11 +11,11 @@ import numpy as np
 
 from sim import verbs
 from sim2real.commands.command import arguments_of
-from sim2real.commands.files import check_views, write_views
+from sim2real.commands.files import check_written, write_views
 from sim2real.diagnose.result import Diagnosis, write_diagnosis
 from sim2real.errors import if_installed
 from sim2real.model import read_model, write_model
-from sim2real.output import beside, check_writable
+from sim2real.output import beside
 from sim2real.recording import Recording, write_recording
 from sim2real.report.diagnosis import diagnosis_section
 from sim2real.report.page import Section, write_page
@@ -26,8 +26,8 @@ from sim2real.viewers.scenes import Scene, diagnosed
 
 def run(options: argparse.Namespace) -> int:
     """Diagnose, print the diagnosis, write it, the enriched model and a page."""
-    out = check_writable(options.out)
-    check_views(options)
+    check_written(options)
+    out = options.out
     robot, recordings = read_robot(options.robot), recordings_of(options.recordings)
     parsed = {"recordings": recordings, "robot": robot, "in_water": options.in_water}
     diagnosis = verbs.diagnose(**arguments_of(verbs.diagnose, options, **parsed))

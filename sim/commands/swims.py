@@ -9,7 +9,7 @@ from sim import verbs
 from sim.robot.swimmer import CONTROL_S
 from sim.simulation import SupersonicFlow
 from sim2real.commands.command import arguments_of
-from sim2real.commands.files import check_views, write_views
+from sim2real.commands.files import check_written, write_views
 from sim2real.design.rivals import RivalDesign
 from sim2real.errors import InputError, if_installed
 from sim2real.model import write_model
@@ -23,8 +23,7 @@ from sim2real.viewers.scenes import recorded
 
 def simulate(options: argparse.Namespace) -> int:
     """Simulate, and write the measurements of a camera and the servos as a recording."""
-    check_writable(options.out)
-    check_views(options)
+    check_written(options)
     try:
         (swim,) = verbs.simulate(**arguments_of(verbs.simulate, options)).swims
     except SupersonicFlow as error:

@@ -55,10 +55,16 @@ def _paths(value: object) -> Iterator[Path]:
 
 
 def check_written(options: argparse.Namespace) -> None:
-    """Raise InputError, before any computation, unless ``--out`` and ``--plot`` can be written."""
-    for path in (options.out, options.plot):
-        if path is not None:
-            check_writable(path)
+    """Raise InputError, before any computation, unless all files of a command can be written."""
+    for name in WRITTEN:
+        if (path := getattr(options, name, None)) is None:
+            continue
+        if name in _VIEWS:
+            ending, module = _VIEWS[name]
+            if path.suffix != ending:
+                raise InputError(path, f"--{name}", f"the ending {path.suffix!r}", ending)
+            library(module, f"--{name}")
+        check_writable(path)
 
 
 def save_plot(result: Any, path: Path | None) -> None:  # noqa: ANN401 - with a method plot
@@ -69,24 +75,12 @@ def save_plot(result: Any, path: Path | None) -> None:  # noqa: ANN401 - with a 
         save_png(result.plot(), path)
 
 
-def check_views(options: argparse.Namespace) -> None:
-    """Raise InputError, before any computation, unless files for viewers can be written."""
-    for name, (ending, module) in _VIEWS.items():
-        path = getattr(options, name)
-        if path is None:
-            continue
-        if path.suffix != ending:
-            raise InputError(path, f"--{name}", f"the ending {path.suffix!r}", ending)
-        check_writable(path)
-        library(module, f"--{name}")
-
-
 def write_views(options: argparse.Namespace, scene: Callable[[], Scene]) -> None:
     """Write the files for viewers; ``scene`` is called only if there is one."""
     wanted = [name for name in _VIEWS if getattr(options, name) is not None]
     if not wanted:
         return
-    from sim2real.viewers.files import write_mcap, write_rerun
+    from sim2real.viewers.scenes import write_mcap, write_rerun
 
     shown = scene()
     for name in wanted:

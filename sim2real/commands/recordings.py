@@ -15,7 +15,7 @@ import numpy as np
 
 from sim2real import verbs
 from sim2real.commands.command import arguments_of
-from sim2real.commands.files import check_views, check_written, save_plot, write_views
+from sim2real.commands.files import check_written, save_plot, write_views
 from sim2real.errors import InputError, if_installed, library
 from sim2real.model import Model, read_model, write_model
 from sim2real.output import beside, check_writable, is_stream
@@ -49,8 +49,7 @@ def check(options: argparse.Namespace) -> int:
 
 def identify(options: argparse.Namespace) -> int:
     """Identify, print the table, write the model and a plot of each joint."""
-    check_writable(options.out)
-    check_views(options)
+    check_written(options)
     robot, recordings = read_robot(options.robot), verbs.recordings_of(options.recordings)
     given = arguments_of(verbs.identify, options, recordings=recordings, robot=robot)
     model = verbs.identify(**given)
@@ -91,8 +90,7 @@ def most_held_out(replays: Sequence[Replay]) -> dict[str, Replay]:
 
 def predict(options: argparse.Namespace) -> int:
     """Write the commands with the predicted angles as a recording."""
-    check_writable(options.out)
-    check_views(options)
+    check_written(options)
     model = verbs.model_of(options.model)
     commands = read_commands(options.commands)
     prediction = verbs.predict(commands, None, model)

@@ -71,8 +71,9 @@ class Job:
             done = read_json(self.folder / _DONE)
         except InputError:
             return False
-        same = ("function", "options")
-        return all(_text(done.get(key)) == _text(self.content[key]) for key in same)
+        pairs = ({x: one.get(x) for x in ("function", "options")} for one in (done, self.content))
+        found, wanted = (json.dumps(one, sort_keys=True) for one in pairs)
+        return found == wanted  # as text, which distinguishes 1, 1.0 and true
 
     def begin(self) -> None:
         """Remove the ``done.json`` of other options, if there is one."""
@@ -147,8 +148,3 @@ def stop(process: subprocess.Popen[bytes]) -> None:
     process.wait()
     if process.stdin:
         process.stdin.close()
-
-
-def _text(value: object) -> str:
-    """JSON text, which distinguishes 1, 1.0 and true, unlike ``==``."""
-    return json.dumps(value, sort_keys=True)

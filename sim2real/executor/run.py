@@ -99,18 +99,10 @@ def map_jobs(
 ) -> list[Path]:
     """Call a function with each of many sets of options, as jobs that resume.
 
-    Args:
-        function: The function, as ``package.module:function``; called as for ``Job``.
-        calls: Options of each call, JSON values, by name.
-        folder: The call NAME has the run folder ``folder / NAME``.
-        how: Where and how, as for ``run_jobs``.
-
-    Returns:
-        The run folders, in the order of ``calls``.
-
-    Raises:
-        InputError: As ``run_jobs``.
-        RuntimeError: If calls failed, after all others have ended; it names each with its reason.
+    The function is ``package.module:function`` and called as that of a ``Job``; the options of each
+    call, JSON values, are by name. Returns the run folders ``folder / NAME``, in the order of
+    ``calls``. ``how`` and ``InputError`` are as of ``run_jobs``; ``RuntimeError`` names the calls
+    that failed and the reasons, after all others have ended.
     """
     jobs = [Job(name, function, dict(options), folder / name) for name, options in calls.items()]
     failed = [str(outcome) for outcome in run_jobs(jobs, **how) if outcome.failure]
@@ -164,11 +156,7 @@ def _run_local(
 
 
 def slots(at_once: int | None, gpus: int) -> list[str]:
-    """``CUDA_VISIBLE_DEVICES`` of each job that may run at a time; arguments as of ``run_jobs``.
-
-    Raises:
-        InputError: If there are too few GPUs.
-    """
+    """``CUDA_VISIBLE_DEVICES`` of each job that may run at a time; arguments as of ``run_jobs``."""
     if at_once is not None and at_once < 1:
         raise InputError("--jobs", "", str(at_once), "at least 1")
     if gpus == 0:

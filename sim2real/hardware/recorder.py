@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -136,11 +136,11 @@ class Run:
 
 @contextmanager
 def row_file(
-    path: Path, columns: Sequence[str], sidecar: dict[str, Any]
-) -> Iterator[Callable[[Sequence[float]], None]]:
+    path: Path, sidecar: dict[str, Any]
+) -> Iterator[Callable[[Mapping[str, float]], None]]:
     """Context manager of ``NAME.csv`` and ``NAME.json``, valid after every row from the second on.
 
-    It gives a function that appends a row and flushes it; NaN is written as an empty cell. The
+    It gives a function that appends a row, by column, and flushes it; NaN is an empty cell. The
     sidecar is written before the first row, and again at the end. Files with fewer than two rows
     are removed. ``InputError`` if the folder cannot be written, ``Stopped`` if a row cannot.
     """
@@ -151,12 +151,13 @@ def row_file(
     write_json(path.with_suffix(".json"), sidecar)
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
 
-        def write(row: Sequence[float]) -> None:
+        def write(row: Mapping[str, float]) -> None:
             nonlocal rows
             try:
-                writer.writerow("" if math.isnan(x) else f"{x:.6f}" for x in row)
+                if rows == 0:
+                    writer.writerow(row)
+                writer.writerow("" if math.isnan(x) else f"{x:.6f}" for x in row.values())
                 file.flush()
             except OSError as error:
                 raise Stopped(f"{path} can't be written ({error.strerror})") from None
@@ -172,25 +173,11 @@ def row_file(
                 write_json(path.with_suffix(".json"), sidecar)
 
 
-def columns(mountings: Sequence[Mounting]) -> list[str]:
-    """The header of the recording."""
-    names = [mounting.joint.name for mounting in mountings]
-    return [
-        "t_s",
-        *(f"{name}.command_rad" for name in names),
-        *(f"{name}.position_rad" for name in names),
-        *(f"{m.joint.name}.{quantity}" for m in mountings for quantity in m.servo.quantities),
-        "supply_V",
-        "round_trip_s",
-        "device_t_s",
-    ]
-
-
 def record(
     run: Run,
     bus: Bus,
     command: Array,
-    write: Callable[[Sequence[float]], None],
+    write: Callable[[Mapping[str, float]], object],
     *,
     hottest_C: float,
     interrupted: Callable[[], bool] = lambda: False,
@@ -240,24 +227,21 @@ def record(
 
 def _row(
     cycle: Cycle, goals: dict[int, int], start: float, mountings: Sequence[Mounting]
-) -> list[float]:
-    """The cells of a row, in the order of ``columns``."""
-    pairs = list(zip(mountings, cycle.readings, strict=True))
-    held = [goals[m.servo_id] if r.goal_ticks is None else r.goal_ticks for m, r in pairs]
+) -> dict[str, float]:
+    """The cells of a row, by column."""
+    row, position, more = {"t_s": cycle.sent_s - start}, {}, {}
+    for mounting, reading in zip(mountings, cycle.readings, strict=True):
+        name, ticks = mounting.joint.name, reading.position_ticks
+        goal = goals[mounting.servo_id] if reading.goal_ticks is None else reading.goal_ticks
+        row[f"{name}.command_rad"] = mounting.angle(goal)
+        position[f"{name}.position_rad"] = math.nan if ticks is None else mounting.angle(ticks)
+        for quantity in mounting.servo.quantities:
+            sign = mounting.sign if quantity in SIGNED else 1
+            more[f"{name}.{quantity}"] = sign * getattr(reading, quantity)
     supplies = [r.supply_V for r in cycle.readings if not math.isnan(r.supply_V)]
-    return [
-        cycle.sent_s - start,
-        *(m.angle(ticks) for m, ticks in zip(mountings, held, strict=True)),
-        *(math.nan if r.position_ticks is None else m.angle(r.position_ticks) for m, r in pairs),
-        *(
-            m.sign * getattr(r, name) if name in SIGNED else getattr(r, name)
-            for m, r in pairs
-            for name in m.servo.quantities
-        ),
-        sum(supplies) / len(supplies) if supplies else math.nan,
-        cycle.round_trip_s,
-        cycle.device_s,
-    ]
+    more["supply_V"] = sum(supplies) / len(supplies) if supplies else math.nan
+    more |= {"round_trip_s": cycle.round_trip_s, "device_t_s": cycle.device_s}
+    return row | position | more
 
 
 def mounted(bus: Bus, robot: Robot, servos: Sequence[Place]) -> tuple[Mounting, ...]:
@@ -320,7 +304,7 @@ def drive(
             approach(bus, mountings, [float(angle) for angle in played.command[0]], **limits)
             sidecar["started"] = datetime.now(UTC).isoformat(timespec="milliseconds")
             bar = tqdm(total=played.t.size, desc="record", unit="row", disable=None)
-            with row_file(out, columns(mountings), sidecar) as write, bar:
+            with row_file(out, sidecar) as write, bar:
                 record(run, bus, played.command, write, progress=bar.update, **limits)
                 sidecar["outcome"] = run.summary()
         except (Stopped, OSError) as error:

@@ -115,7 +115,7 @@ class Finder:
         width = float(np.exp(np.clip(fit.x[3], narrowest, widest)))
         return Sighting(found, float(likeness), width * self.cell_m)
 
-    def search(self, frame: Picture, window: tuple[int, int, int, int], *, most: int = 12) -> Array:
+    def search(self, frame: Picture, window: tuple[int, int, int, int], *, most: int = 6) -> Array:
         """Candidate poses (N, 3) in a window (left, top, right, bottom), the most similar first."""
         import cv2
 

@@ -28,8 +28,6 @@ LIKENESS = 0.85
 NEARBY_M = 0.25
 EVERYWHERE = 10
 """Interval in frames between searches of the whole frame while the marker is lost."""
-TRIES = 6
-"""Candidates of a search that are registered."""
 _STEADY = 0.7
 _TURN = np.deg2rad(25)
 """Largest change of yaw between frames; sightings beyond it are rejected."""
@@ -100,7 +98,7 @@ class MarkerTracker:
         if self._lost % EVERYWHERE == (0 if self._last is None else EVERYWHERE - 1):
             windows.append((0, 0, frame.shape[1], frame.shape[0]))
         for window in windows:
-            poses = self._finder.search(frame, window)[:TRIES]
+            poses = self._finder.search(frame, window)
             found = [self._finder.register(frame, pose, self._blur) for pose in poses]
             seen = [sighting for sighting in found if sighting is not None]
             best = max(seen, key=lambda sighting: sighting.likeness, default=None)

@@ -4,7 +4,6 @@ A ``Scene`` holds what is shown, whatever the viewer; ``scenes`` makes them from
 predictions and diagnoses. The viewers' libraries are imported when a file is written.
 """
 
-from sim2real.viewers.files import write_mcap, write_rerun
-from sim2real.viewers.scenes import MovingLine, Scene, SignalGroup
+from sim2real.viewers.scenes import MovingLine, Scene, SignalGroup, write_mcap, write_rerun
 
 __all__ = ["SignalGroup", "Scene", "MovingLine", "write_mcap", "write_rerun"]

@@ -193,7 +193,7 @@ def play(tmp_path, clock):
 
     def run(takes, command):
         rows, bus, run = [], LxBus(Line(clock, takes)), Run(mountings)
-        recorder.record(run, bus, command, rows.append, hottest_C=65)
+        recorder.record(run, bus, command, lambda row: rows.append([*row.values()]), hottest_C=65)
         return run, np.array(rows)
 
     return run

@@ -12,7 +12,9 @@ from virtual_bench import LIMITS, limit, limits, refused, robot_file, served
 
 from rl.deploy.link import Telemetry, telemetry_bytes
 from sim2real.cli import main
-from sim2real.hardware.datagram import (
+from sim2real.hardware.frames import LX, Packet
+from sim2real.hardware.lx import LxBus, LxCommand
+from sim2real.hardware.transport import (
     AHEAD,
     HALF,
     PATIENCE,
@@ -20,12 +22,10 @@ from sim2real.hardware.datagram import (
     UdpTransport,
     VirtualRadio,
     answer,
+    open_transport,
     read_answer,
     request,
 )
-from sim2real.hardware.frames import LX, Packet
-from sim2real.hardware.lx import LxBus, LxCommand
-from sim2real.hardware.transport import open_transport
 from sim2real.recording import read_recording
 from tests.rl.test_swim import policy_file
 

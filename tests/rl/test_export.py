@@ -10,7 +10,7 @@ import torch
 from gymnasium import spaces
 from stable_baselines3 import PPO, SAC
 
-from rl.commands.export import run
+from rl.commands.policies import export as run
 from rl.deploy.export import c_header, policy_of, read_zip
 from rl.deploy.policy import PolicyController, npz, read_npz
 from rl.observer import observation_bounds

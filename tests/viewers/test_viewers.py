@@ -18,8 +18,15 @@ from sim2real.diagnose.result import Diagnosis
 from sim2real.model import read_model
 from sim2real.recording import POSE, Recording, read_recording
 from sim2real.robot import read_robot
-from sim2real.viewers.files import write_mcap, write_rerun
-from sim2real.viewers.scenes import Scene, SignalGroup, axis_points, recorded, with_prediction
+from sim2real.viewers.scenes import (
+    Scene,
+    SignalGroup,
+    axis_points,
+    recorded,
+    with_prediction,
+    write_mcap,
+    write_rerun,
+)
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "datasets" / "servo_steps"

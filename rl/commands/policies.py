@@ -1,4 +1,4 @@
-"""``sim2real evaluate``."""
+"""Commands on trained policies: ``evaluate``, ``forecast`` and ``export``."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from rl import verbs
 from rl.experiments.episodes import Episodes, run_episodes, summary
 from rl.experiments.film import Film
 from rl.experiments.named import controller_of, shown, with_price
@@ -19,9 +20,10 @@ from rl.make import draws_of, make_world, own_stream
 from rl.sac.plan import RECIPES
 from rl.task import TASKS
 from sim.view.video import Video, check_video
-from sim2real.errors import check_whole
+from sim2real.commands.command import arguments_of
+from sim2real.errors import InputError, check_whole, if_installed
 from sim2real.model import read_model
-from sim2real.output import check_writable, provenance, write_json
+from sim2real.output import beside, check_writable, is_stream, provenance, write_json
 from sim2real.ranges.entry import read_ranges
 from sim2real.robot import read_robot
 
@@ -29,7 +31,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def run(options: argparse.Namespace) -> int:
+ENDINGS = {".npz": "npz", ".h": "c", ".onnx": "onnx"}
+
+
+def evaluate(options: argparse.Namespace) -> int:
     """Run the task with each policy; print, write and plot the results."""
     out = None if options.out is None else check_writable(options.out)
     picture = None if options.plot is None else check_writable(options.plot)
@@ -97,3 +102,37 @@ def trajectories(swims: Mapping[str, Episodes]) -> Figure:
         ways[shown(name)] = [episodes.pose[:, e, :2] for e in range(min(5, len(time)))]
         notes[shown(name)] = f"{time[0]:.1f} s" if np.isfinite(time[0]) else "does not arrive"
     return pool_figure(ways, next(iter(swims.values())).targets[0], notes)
+
+
+def forecast(options: argparse.Namespace) -> int:
+    """Forecast, print and write the intervals, and a page; trials so far are kept."""
+    torch.set_num_threads(1)
+    out = check_writable(options.out)
+    kept = None if is_stream(out) else beside(out, f"{out.stem}.trials.npz")
+    found = verbs.forecast(**arguments_of(verbs.forecast, options, kept=kept))
+    options.result = found.content()
+    write_json(out, options.result)
+    print(found)
+    if not options.no_page:
+        page = beside(out, f"{out.stem}.html")
+        with if_installed("page"):
+            from rl.forecast.forecast import write_forecast_page
+
+            write_forecast_page(found, page)
+            print(f"\npage: {page}")
+    return 0
+
+
+def export(options: argparse.Namespace) -> int:
+    """Write a policy in each format asked for."""
+    out: Path = check_writable(options.out)
+    if not options.format and out.suffix not in ENDINGS:
+        ending = f"the ending {out.suffix!r}" if out.suffix else "no ending"
+        raise InputError(out, "--out", ending, f"{', '.join(ENDINGS)}, or --format")
+    formats = tuple(dict.fromkeys(options.format or [ENDINGS[out.suffix]]))
+    from rl.deploy.export import read_zip, write_policy
+
+    policy = read_zip(options.policy, seed=options.seed, price=options.price)
+    for file in write_policy(policy, out, formats):
+        print(f"{file}: {len(policy.observation)} in, {len(policy.joints)} angles in rad out")
+    return 0
