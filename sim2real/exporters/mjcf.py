@@ -19,7 +19,7 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.errors import InputError, library, one_of
 from sim2real.exporters.actuator import Export, LeftOut, listed
-from sim2real.exporters.mjcf_text import actuator_limits, with_servo
+from sim2real.exporters.mjcf_text import with_servo
 from sim2real.exporters.mujoco import expressed, mujoco
 from sim2real.exporters.mujoco_bench import BRISTLES, simulate
 from sim2real.exporters.nearest import Which, excitation, fitting_data, nearest
@@ -111,18 +111,13 @@ def into_robot(
         servo, kept = _on_inertia(name, found, robot.inertia(name))
         dropped = [line for line in made.dropped if line.component == own]
         bench = mujoco(Model({name: servo}), None, (*dropped, *kept))
-        limits = actuator_limits(robot.model, name)
-        if (theirs := limits.get("forcerange")) and "forcerange" not in bench.text:
-            why = f"none was identified, so that of the file stays ({theirs} N m)"
-            bench = replace(bench, left_out=(*bench.left_out, LeftOut(name, "a limit", why)))
-        lines += bench.left_out
-        compiled = robot.spec, robot.model
+        given = content, (robot.spec, robot.model), name, bench
         try:
-            adds = found.per_inertia
-            content, drive = with_servo(file, content, compiled, name, bench, limits, adds=adds)
+            content, drive, left = with_servo(file, *given, adds=found.per_inertia)
             text = content.decode()
         except (ExpatError, UnicodeDecodeError) as error:
             raise InputError(file, "", str(error), "XML in UTF-8") from None
+        lines += left
         robot = _Compiled.loaded(out, file, content)
         data = fitting_data(own, joints[own], recordings, None)
         ways = [(data.scored, data.held_out), (data.fitted, "recordings")] if data.scored else []

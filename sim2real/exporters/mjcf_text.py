@@ -16,7 +16,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from sim2real.errors import InputError, library
-from sim2real.exporters.actuator import Export
+from sim2real.exporters.actuator import Export, LeftOut
 
 _TAG = re.compile(r"""<(?:[^>"']|"[^"]*"|'[^']*')*>""")
 _FLANK = {"pos": "0 0 0", "mass": "1e-6", "diaginertia": "1e-9 1e-9 1e-9"}
@@ -70,29 +70,22 @@ def _parts(text: str) -> list[_Markup]:
 
 
 def with_servo(
-    file: Path,
-    content: bytes,
-    compiled: tuple[Any, Any],
-    name: str,
-    bench: Export,
-    limits: Mapping[str, str],
-    *,
-    adds: bool,
-) -> tuple[bytes, str]:
-    """The content with the servo of a bench on a hinge, and the name of its actuator.
+    file: Path, content: bytes, compiled: tuple[Any, Any], name: str, bench: Export, *, adds: bool
+) -> tuple[bytes, str, Sequence[LeftOut]]:
+    """The content with the servo of a bench on a hinge, its actuator's name, and what it lacks.
 
-    ``compiled`` are MuJoCo's specification and model of the content, ``limits`` those of the
-    hinge's actuator; with ``adds`` its armature stays, beside the servo's. ``InputError`` if the
-    hinge or its actuator is in a file that this one includes, or it has a servo that was written
-    here.
+    ``compiled`` are MuJoCo's specification and model of the content; with ``adds`` the armature of
+    the hinge stays, beside the servo's. ``InputError`` if the hinge or its actuator is in a file
+    that this one includes, or it has a servo that was written here.
     """
-    spec, model = compiled
+    (spec, model), lines = compiled, bench.left_out
     text, made = content.decode("latin-1"), ElementTree.fromstring(bench.text)
     parts, joint = _parts(text), model.joint(name)
     joints = (one for one in parts if re.fullmatch("mujoco/worldbody/.*joint", one.path))
     own = next((one for one in joints if one.attrib.get("name") == name), None)
     targets = {("joint", name), ("jointinparent", name)}
     acting = [x for x in _children(parts, "actuator") if targets & set(x.attrib.items())]
+    limits = _limits(model, joint.id)
     if own is None or (limits and not acting):
         where = "a joint or an actuator of an included file"
         raise InputError(file, name, where, "the file that has both")
@@ -105,6 +98,9 @@ def with_servo(
     if "forcerange" in drive.attrib:
         limits["forcelimited"] = "true"
         given["actuatorfrclimited"] = str("actuatorfrcrange" in given).lower()
+    elif theirs := limits.get("forcerange"):
+        why = f"none was identified, so that of the file stays ({theirs} N m)"
+        lines = (*lines, LeftOut(name, "a limit", why))
     given = _NO_LOSSES | given
     if armature := adds and float(model.dof_armature[joint.dofadr[0]]):
         given["armature"] = f"{armature + float(given['armature']):.9g}"
@@ -128,8 +124,8 @@ def with_servo(
     drive.attrib = explicit | limits | drive.attrib
     if delay := float(drive.attrib["delay"]):
         drive.set("nsample", str(math.ceil(delay / float(model.opt.timestep)) + 2))
-    lines = "".join(f"\n    {line}".replace("--", "- -") for line in bench.left_out)
-    comment = _raw(f"{title}; not expressed:{lines} -->" if lines else f"{title} -->")
+    listed = "".join(f"\n    {line}".replace("--", "- -") for line in lines)
+    comment = _raw(f"{title}; not expressed:{listed} -->" if lines else f"{title} -->")
     added = {section: made.findall(f"{section}/*") for section in ("tendon", "actuator", "sensor")}
     if acting:
         first, *others = acting
@@ -161,16 +157,14 @@ def with_servo(
     edits.append((end, end, sections))
     for start, stop, new in sorted(edits, reverse=True):
         text = text[:start] + new + text[stop:]
-    return text.encode("latin-1"), drive.get("name", name)
+    return text.encode("latin-1"), drive.get("name", name), lines
 
 
-def actuator_limits(model: Any, name: str) -> dict[str, str]:  # noqa: ANN401 - MuJoCo's own type
+def _limits(model: Any, hinge: int) -> dict[str, str]:  # noqa: ANN401 - MuJoCo's own type
     """Attributes of the limits of a hinge's actuator; none without one."""
     kind = library("mujoco", "--into").mjtTrn
     kinds = int(kind.mjTRN_JOINT), int(kind.mjTRN_JOINTINPARENT)
-    turn = np.isin(model.actuator_trntype, kinds) & (
-        model.actuator_trnid[:, 0] == model.joint(name).id
-    )
+    turn = np.isin(model.actuator_trntype, kinds) & (model.actuator_trnid[:, 0] == hinge)
     if not turn.any():
         return {}
     k, limits = int(np.flatnonzero(turn)[0]), {"ctrllimited": "false", "forcelimited": "false"}

@@ -41,7 +41,6 @@ STEP = (
 )
 CONTACT_S, CONTACT_IMPEDANCE = 2 * TIMESTEP_S, "0.999 0.9999 0.0001"
 """The flanks of a gear train with play, as rigid as the time step allows."""
-LEAST_RESTITUTION = 1e-3
 
 PID = {"integral_action", "rate_limit"}
 """Effects whose drive is a ``pid``."""
@@ -126,11 +125,7 @@ def _two_limits(servo: Actuator) -> bool:
 
 
 def _shaft(servo: Actuator, world: Element, tendons: Element) -> None:
-    """The output and its load; behind a spring or play, the motor's side is a second body.
-
-    The angle of the second joint is the motor's lead over the output, so the motor's angle is the
-    sum of both, a tendon, which the drive, its damping and dry friction act on.
-    """
+    """The output and its load; behind a spring or play, the motor's side is a second body."""
     train = _train(servo)
     rotor = _rotor(servo) if train else 0.0
     armature = 0.0 if train else servo.armature
@@ -158,7 +153,7 @@ def _shaft(servo: Actuator, world: Element, tendons: Element) -> None:
     _inertial(body, servo.inertia + servo.beyond_load - armature - rotor, weight)
     gain = 1 + servo.value("sensor_gain", "gain")
     lead = f"{servo.joint}_lead"
-    if train:
+    if train:  # its angle is the lead, so the motor's is the sum of both, a tendon that is driven
         motor = SubElement(body, "body", name=f"{servo.joint}_motor")
         SubElement(motor, "joint", {"name": lead, "type": "hinge", "axis": "0 1 0"} | train)
         _inertial(motor, rotor, 0.0)
@@ -189,10 +184,9 @@ def _train(servo: Actuator) -> dict[str, str]:
         return {"stiffness": _text(1 / spring), "damping": _text(damping)}
     if gap == 0:
         return {}
-    # A half-period of an oscillator of damping ratio z reverses its speed by
-    # exp(-pi z / sqrt(1 - z^2)).
-    lost = -math.log(max(servo.value("backlash", "restitution"), LEAST_RESTITUTION))
-    ratio = lost / math.hypot(math.pi, lost) if lost < -math.log(LEAST_RESTITUTION) else 1.0
+    ratio, kept = 1.0, servo.value("backlash", "restitution")
+    if kept > 1e-3:  # of its speed after a half-period: exp(-pi z / sqrt(1 - z^2)) of the ratio z
+        ratio = -math.log(kept) / math.hypot(math.pi, math.log(kept))
     flanks = {"solreflimit": _text(CONTACT_S / ratio, ratio), "solimplimit": CONTACT_IMPEDANCE}
     return {"limited": "true", "range": _text(-gap / 2, gap / 2), **flanks}
 

@@ -163,16 +163,13 @@ def nearest(
 
 @dataclass(frozen=True)
 class _Task:
-    """A joint whose nearest model is looked for; ``still`` are parts that hardly move it.
-
-    With ``soft`` the target has dry friction that stops the shaft within a finite time, which
-    resembles the damping of a dead band without its spring.
-    """
+    """A joint whose nearest model is looked for."""
 
     name: str
     joint: JointModel
     data: FittingData
-    still: set[str]
+    still: set[str]  # parts that hardly move it
+    # whether friction of the target stops the shaft within a finite time, as a dead band damps
     soft: bool
 
     def best(self, drops: dict[str, set[str]], which: Which, error: Error) -> Nearest:

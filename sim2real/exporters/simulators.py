@@ -115,17 +115,11 @@ def _python(text: Callable[[Sequence[Actuator]], str]) -> Text:
 
 
 def _urdf_text(servos: Sequence[Actuator], robot: Robot | None, lines: Lines) -> str:
-    """A URDF (http://wiki.ros.org/urdf/XML) with one link on each joint.
-
-    ``damping`` and ``friction`` of ``<dynamics>`` are positive and oppose the motion. Of the
-    identified damping the joint has that of the motor's back-EMF, at most the whole; the rest is
-    its controller's, whose gains a URDF does not have. Limits of angle, torque and speed, of which
-    a URDF requires all, are the robot's; without it joints are ``continuous``.
-    """
+    """A URDF (http://wiki.ros.org/urdf/XML) with one link on each joint; see the README here."""
     root = Element("robot", name=robot.name if robot else "sim2real")
     SubElement(root, "link", name="bench")
     for servo in servos:
-        kind = "revolute" if servo.sheet else "continuous"
+        kind = "revolute" if servo.sheet else "continuous"  # without limits, of which it needs all
         joint = SubElement(root, "joint", name=servo.joint, type=kind)
         SubElement(joint, "parent", link="bench")
         SubElement(joint, "child", link=f"{servo.joint}_link")

@@ -112,12 +112,7 @@ def _top(path: str | os.PathLike[str]) -> Fields:
 
 
 def _load(top: Fields) -> tuple[Load, str]:
-    """The load of BAM's test bench, and a description of the log.
-
-    A point mass m at the end of a uniform rod of length l has the inertia m l^2 + m_arm l^2 / 3.
-    Gravity acts on the rod at half its length, so the point mass at l with the same gravity torque
-    is m + m_arm / 2.
-    """
+    """The load of BAM's bench, a point mass at the end of a uniform rod, and what the log is."""
     mass, arm = top.number("mass", low=0), top.number("arm_mass", 0.0, low=0)
     length = top.number("length", above=0)
     if mass + arm <= 0:

@@ -39,7 +39,6 @@ OPTIONS = {
 """Options of each kind of log."""
 LISTS = ("command_topic", "joints", "units", "columns", *LOADS)
 """Options with several values; one value may be a text."""
-STATE_TOPIC = "/joint_states"
 
 
 def read_log(source: Path, out: Path | None, given: Mapping[str, Any]) -> Recording | Model:
@@ -95,7 +94,7 @@ def _recording(source: Path, kind: str, given: Mapping[str, Any]) -> Recording:
     if kind == "a BAM log":
         return read_bam(source)
     if kind == "a ROS bag":
-        sent, measured = given.get("command_topic"), given.get("state_topic", STATE_TOPIC)
+        sent, measured = given.get("command_topic"), given.get("state_topic", "/joint_states")
         ask_for(source, [] if sent else ["--command-topic TOPIC (of the set-points)"])
         return read_bag(source, state_topic=measured, command_topic=sent or (), joints=joints)
     table, lacking = kind == "a table", []

@@ -26,7 +26,6 @@ from sim2real.structured import check_size
 
 OTHERS = ("velocity_rad_s", "current_A", "load", "temperature_C")
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "spaces"}
-COMMENTS = ("#", "//", "%")
 
 
 def column_map(pairs: Sequence[str] | None) -> dict[str, str]:
@@ -159,15 +158,12 @@ def _lines(file: Path) -> list[str]:
 
 
 def _header(lines: Sequence[str], wanted: set[str]) -> tuple[list[str], str, list[str]]:
-    """Names of the columns, their separator, and the rows below without comments.
-
-    The header is the first line that is no comment, or a comment before it that has all wanted
-    names (as ``numpy.savetxt`` and ``rostopic echo -p`` write it).
-    """
+    """Names of the columns, their separator, and the rows below without comments."""
     filled = [line for line in lines if line.strip()]
-    rows = [line for line in filled if not line.lstrip().startswith(COMMENTS)]
+    rows = [line for line in filled if not line.lstrip().startswith(("#", "//", "%"))]
     if not rows:
         return [], ",", []
+    # numpy.savetxt and rostopic echo -p write the header as a comment
     above = filled[: filled.index(rows[0])]
     for line in (rows[0], *reversed(above)):
         texts = dict.fromkeys((line.lstrip().lstrip("#/%"), line))

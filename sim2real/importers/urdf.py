@@ -179,7 +179,6 @@ def _quoted(text: str) -> str:
 _LARGEST = 1e9
 """Largest size of a number, SI."""
 
-TURNS = ("revolute", "continuous")
 NOT_TAKEN = {
     "mimic": "its coupling to another joint (mimic)",
     "dynamics": "damping and friction (identify finds them)",
@@ -273,7 +272,7 @@ def read_urdf(path: str | os.PathLike[str]) -> Tree:
             hung = _Part(file, f"joint {title}", above[name])
             place, turned = hung.frame(place, turned)
             kind = hung.text("type")
-            if kind in TURNS:
+            if kind in ("revolute", "continuous"):
                 hinges.append(_hinge(hung, title, name, place, turned))
                 here = [
                     what for tag, what in NOT_TAKEN.items() if above[name].find(tag) is not None

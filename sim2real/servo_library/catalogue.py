@@ -104,8 +104,7 @@ def entry_of(model: Model, file: str | os.PathLike[str]) -> ServoEntry:
             raise fields.error(name, "text")
     if not re.fullmatch(r"[a-z0-9][a-z0-9_]*", texts["name"]):
         raise fields.error("name", "small letters, digits and underscores")
-    if texts["origin"] not in get_args(Origin):
-        raise fields.error("origin", f"one of {', '.join(get_args(Origin))}")
+    fields.choice("origin", get_args(Origin))
     if not _is_date(texts["date"]):
         raise fields.error("date", "a day or a month, as 2026-01-31 or 2026-01")
     known: dict[str, Any] = {}
