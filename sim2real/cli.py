@@ -17,6 +17,7 @@ from sim2real.commands.files import check_files
 from sim2real.commands.streams import Lenient, occupy_standard_descriptors, run_as_json
 from sim2real.errors import InputError, missing_library
 from sim2real.output import Results, is_standard_output, results
+from sim2real.version import __version__
 
 _SERVOS, _HARDWARE = "sim2real.commands.options", "sim2real.commands.hardware_options"
 _WATER, _LEARNING = "sim.commands.options", "rl.commands.options"
@@ -153,7 +154,8 @@ def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
         epilog="'sim2real COMMAND --help' shows the options of a command and an example. "
         "Exit status: 0 done, 2 bad input, 1 anything else.",
     )
-    root.add_argument("--version", action=_Version, help="print the version and exit")
+    version = f"%(prog)s {__version__}"
+    root.add_argument("--version", action="version", version=version, help="print the version")
     commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, (home, summary) in COMMANDS.items():
         included = only is None or name in only
@@ -170,19 +172,6 @@ def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
             command.set_defaults(module=entry.module, resumes=entry.resumes, result=None)
             entry.add(command)
     return root
-
-
-class _Version(argparse.Action):
-    """Prints the version, which is read only then, unlike in argparse's own action."""
-
-    def __init__(self, option_strings: Sequence[str], dest: str, help: str | None = None) -> None:
-        super().__init__(option_strings, argparse.SUPPRESS, nargs=0, help=help)
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from sim2real.version import __version__
-
-        print(f"{parser.prog} {__version__}")
-        parser.exit()
 
 
 def find(name: str, home: str) -> Command:

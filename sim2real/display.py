@@ -15,9 +15,8 @@ else:
 def from_report(name: str) -> Callable[..., Any]:
     """A function of ``sim2real.report`` by name, as ``"notebook.result_text"``."""
     module, _, function = name.rpartition(".")
-    found: Callable[..., Any] = getattr(
-        importlib.import_module(f"sim2real.report.{module}"), function
-    )
+    home = importlib.import_module(f"sim2real.report.{module}")
+    found: Callable[..., Any] = getattr(home, function)
     return found
 
 
