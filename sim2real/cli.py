@@ -17,7 +17,6 @@ from sim2real.commands.files import check_files
 from sim2real.commands.streams import Lenient, occupy_standard_descriptors, run_as_json
 from sim2real.errors import InputError, missing_library
 from sim2real.output import Results, is_standard_output, results
-from sim2real.version import __version__
 
 _SERVOS, _HARDWARE = "sim2real.commands.options", "sim2real.commands.hardware_options"
 _WATER, _LEARNING = "sim.commands.options", "rl.commands.options"
@@ -154,8 +153,12 @@ def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
         epilog="'sim2real COMMAND --help' shows the options of a command and an example. "
         "Exit status: 0 done, 2 bad input, 1 anything else.",
     )
-    version = f"%(prog)s {__version__}"
-    root.add_argument("--version", action="version", version=version, help="print the version")
+    version = ""
+    if only and only[0] == "--version":  # it is read only then
+        from sim2real.version import __version__ as version
+    text = f"%(prog)s {version}"
+    help_text = "print the version and exit"
+    root.add_argument("--version", action="version", version=text, help=help_text)
     commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, (home, summary) in COMMANDS.items():
         included = only is None or name in only

@@ -24,7 +24,6 @@ class NotebookDisplay:
     """Base of results that are shown as tables, in Jupyter and as text, by ``report.notebook``."""
 
     def __str__(self) -> str:
-        """The tables and the notes."""
         return str(from_report("notebook.result_text")(self))
 
     def _repr_html_(self) -> str | None:

@@ -132,7 +132,6 @@ class MissingLibrary(InputError, ModuleNotFoundError):
         self.name = module
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the arguments."""
         return type(self), (self.file, self.name)
 
 

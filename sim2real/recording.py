@@ -144,7 +144,6 @@ class Recording(NotebookDisplay):
         )
 
     def __repr__(self) -> str:
-        """One line without the arrays."""
         return f"<Recording {self.name}: {self.summary}; joints {', '.join(self.joints)}>"
 
     @property
