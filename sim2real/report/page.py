@@ -197,9 +197,8 @@ def _template() -> Any:  # noqa: ANN401 - of Jinja
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.globals.update(
-        kind=lambda block: type(block).__name__, prose=_prose, breakable=_breakable
-    )
+    kind = lambda block: type(block).__name__  # noqa: E731
+    environment.globals.update(kind=kind, prose=_prose, breakable=_breakable)
     return environment.get_template("page.html")
 
 
