@@ -11,33 +11,21 @@ import sys
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # isort: off
     from rl.verbs import forecast as forecast
-    from sim.verbs import calibrate as calibrate
-    from sim.verbs import design as design  # type: ignore[no-redef]
-    from sim.verbs import diagnose as diagnose
-    from sim.verbs import fit_twin as fit_twin
-    from sim.verbs import simulate as simulate
+    from sim.verbs import calibrate as calibrate, diagnose as diagnose, fit_twin as fit_twin
+    from sim.verbs import design as design, simulate as simulate  # type: ignore[no-redef]
     from sim2real.errors import InputError as InputError
-    from sim2real.exchange import export as export
-    from sim2real.exchange import import_log as import_log
-    from sim2real.model import Model as Model
-    from sim2real.model import read_model as read_model
-    from sim2real.model import write_model as write_model
-    from sim2real.recording import Recording as Recording
-    from sim2real.recording import read_recording as read_recording
+    from sim2real.exchange import export as export, import_log as import_log
+    from sim2real.model import Model as Model, read_model as read_model, write_model as write_model
+    from sim2real.recording import Recording as Recording, read_recording as read_recording
     from sim2real.recording import write_recording as write_recording
-    from sim2real.robot import Robot as Robot
-    from sim2real.robot import read_robot as read_robot
-    from sim2real.verbs import check as check  # type: ignore[no-redef]
-    from sim2real.verbs import density as density  # type: ignore[no-redef]
-    from sim2real.verbs import identify as identify
-    from sim2real.verbs import latency as latency
-    from sim2real.verbs import posterior as posterior
-    from sim2real.verbs import predict as predict
-    from sim2real.verbs import ranges as ranges
-    from sim2real.verbs import servos as servos
+    from sim2real.robot import Robot as Robot, read_robot as read_robot
+    from sim2real.verbs import check as check, density as density  # type: ignore[no-redef]
+    from sim2real.verbs import identify as identify, latency as latency, posterior as posterior
+    from sim2real.verbs import predict as predict, ranges as ranges, servos as servos
     from sim2real.version import __version__ as __version__
+# isort: on
 
 _NAMES = {
     "rl.verbs": "forecast",

@@ -53,7 +53,6 @@ class Checks(tuple[Check, ...]):
     """The checks of several recordings, which print one below the other."""
 
     def __str__(self) -> str:
-        """The checks as text."""
         return "\n\n\n".join(map(str, self))
 
     def _repr_html_(self) -> str:

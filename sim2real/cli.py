@@ -153,7 +153,12 @@ def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
         epilog="'sim2real COMMAND --help' shows the options of a command and an example. "
         "Exit status: 0 done, 2 bad input, 1 anything else.",
     )
-    root.add_argument("--version", action=_Version, help="print the version and exit")
+    version = ""
+    if only and only[0] == "--version":  # it is read only then
+        from sim2real.version import __version__ as version
+    text = f"%(prog)s {version}"
+    help_text = "print the version and exit"
+    root.add_argument("--version", action="version", version=text, help=help_text)
     commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, (home, summary) in COMMANDS.items():
         included = only is None or name in only
@@ -170,19 +175,6 @@ def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
             command.set_defaults(module=entry.module, resumes=entry.resumes, result=None)
             entry.add(command)
     return root
-
-
-class _Version(argparse.Action):
-    """Prints the version, which is read only then, unlike in argparse's own action."""
-
-    def __init__(self, option_strings: Sequence[str], dest: str, help: str | None = None) -> None:
-        super().__init__(option_strings, argparse.SUPPRESS, nargs=0, help=help)
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from sim2real.version import __version__
-
-        print(f"{parser.prog} {__version__}")
-        parser.exit()
 
 
 class Lenient:

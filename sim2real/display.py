@@ -15,9 +15,8 @@ else:
 def from_report(name: str) -> Callable[..., Any]:
     """A function of ``sim2real.report`` by name, as ``"notebook.result_text"``."""
     module, _, function = name.rpartition(".")
-    found: Callable[..., Any] = getattr(
-        importlib.import_module(f"sim2real.report.{module}"), function
-    )
+    home = importlib.import_module(f"sim2real.report.{module}")
+    found: Callable[..., Any] = getattr(home, function)
     return found
 
 
@@ -25,7 +24,6 @@ class NotebookDisplay:
     """Base of results that are shown as tables, in Jupyter and as text, by ``report.notebook``."""
 
     def __str__(self) -> str:
-        """The tables and the notes."""
         return str(from_report("notebook.result_text")(self))
 
     def _repr_html_(self) -> str | None:

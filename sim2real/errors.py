@@ -1,7 +1,5 @@
 """Exceptions for invalid input and missing libraries, checks that raise them, and findings."""
 
-from __future__ import annotations
-
 import difflib
 import importlib
 import math
@@ -11,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from numbers import Integral, Real
 from os import PathLike
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 _LONGEST_SHOWN = 80  # characters of a value in a message
 _EXTRAS = {
@@ -52,7 +50,7 @@ class InputError(Exception):
         place = f"{file}: {where}" if where else f"{file}"
         super().__init__(" ".join(f"{place}: found {found}, expected {expected}".splitlines()))
 
-    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str]]:
+    def __reduce__(self) -> tuple[type[Self], tuple[str, str, str, str]]:
         """Pickle the four arguments, so that the error can be passed between processes."""
         return type(self), (self.file, self.where, self.found, self.expected)
 
@@ -134,7 +132,6 @@ class MissingLibrary(InputError, ModuleNotFoundError):
         self.name = module
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the arguments."""
         return type(self), (self.file, self.name)
 
 

@@ -1,26 +1,22 @@
 """The fitted model of a robot, and its file ``MODEL.json``."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from math import nan
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
+
+from pandas import DataFrame
 
 from sim2real.arm.description import Arm, arm_content, arm_from
 from sim2real.clock import SHORTEST_PERIOD_S
-from sim2real.display import NotebookDisplay, from_report
+from sim2real.display import Drawing, NotebookDisplay, from_report
 from sim2real.inference.normal import LEVEL
 from sim2real.output import write_json
 from sim2real.recording import Load, read_load
 from sim2real.structured import Fields, finite_number, read_json
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from pandas import DataFrame
 
 SCHEMA = "sim2real.model/1"
 _ROTOR_IN_LOAD = "rotor_in_load"
@@ -98,8 +94,6 @@ class JointModel(NotebookDisplay):
 
         ``standard_error`` and ``correlation``; infinite or NaN where the data constrain none.
         """
-        from pandas import DataFrame
-
         error = self.standard_error
         covariance = DataFrame(0.0, index=list(error), columns=list(error))
         for a, b in product(error, error):
@@ -150,8 +144,6 @@ class Model(NotebookDisplay):
         The columns are ``value``, ``low`` and ``high``, the ends of its interval, and
         ``standard_error``; NaN where there is none.
         """
-        from pandas import DataFrame
-
         rows = [
             (name, key, value, *joint.interval.get(key, (nan, nan)), joint.standard_error.get(key))
             for name, joint in self.joints.items()
@@ -160,9 +152,9 @@ class Model(NotebookDisplay):
         columns = ["joint", "parameter", "value", "low", "high", "standard_error"]
         return DataFrame(rows, columns=columns).set_index(columns[:2]).astype(float)
 
-    def plot(self) -> Figure:
+    def plot(self) -> Drawing:
         """Gains and latency of every joint, with intervals."""
-        figure: Figure = from_report("identification.parameter_figure")(self)
+        figure: Drawing = from_report("identification.parameter_figure")(self)
         return figure
 
 

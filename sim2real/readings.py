@@ -4,7 +4,7 @@ Angles are in rad, shape (T,), NaN where missing. The limits separate recordings
 from the same with faults put into them (``benchmarks/recording_findings.py``).
 """
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -86,7 +86,8 @@ def stale_share(position: Array, step_rad: float, noise_rad: float) -> float:
     return repeated / turning if repeated >= max(5, 0.03 * turning) else 0.0
 
 
-class Departure(NamedTuple):
+@dataclass(frozen=True)
+class Departure:
     """Where an angle does not follow its command."""
 
     windows_s: tuple[tuple[float, float], ...]  # start and end of each, in order of time

@@ -1,14 +1,12 @@
 """A recording: commands and measured angles of each joint, sample by sample."""
 
-from __future__ import annotations
-
 import os
 import shlex
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pandas as pd
@@ -119,7 +117,7 @@ class Recording(NotebookDisplay):
         columns = (self.command[: self.powered(j), j], self.position[: self.powered(j), j])
         return all(np.unique(x[np.isfinite(x)]).size > 1 for x in columns)
 
-    def without(self, joints: Collection[str]) -> Recording:
+    def without(self, joints: Collection[str]) -> Self:
         """The recording without some of its joints."""
         if not joints:
             return self
@@ -148,7 +146,6 @@ class Recording(NotebookDisplay):
         )
 
     def __repr__(self) -> str:
-        """One line without the arrays."""
         return f"<Recording {self.name}: {self.summary}; joints {', '.join(self.joints)}>"
 
     @property
@@ -161,7 +158,7 @@ class Recording(NotebookDisplay):
         commanded = np.flatnonzero(np.isfinite(self.command[:, joint]))
         return int(commanded[-1]) + 1 if commanded.size else 0
 
-    def between(self, start: int, stop: int) -> Recording:
+    def between(self, start: int, stop: int) -> Self:
         """Recording of the samples ``start`` to ``stop`` (exclusive)."""
         part = slice(start, stop)
         return replace(

@@ -103,18 +103,12 @@ def identify(
 
     check_positive("identify", "effort", effort)
     description, listed = robot_of(robot), recordings_to_fit(recordings)
-    settings: dict[str, Any] = {
-        "held_out": held_out,
-        "effects": (effects,) if isinstance(effects, str) else effects,
-        "law": law,
-        "effort": effort,
-        "interval": interval,
-        "seed": seed,
-        "progress": lambda joints: tqdm(joints, desc="identify", unit="joint", disable=None),
-    }
-    if description.arm is not None:
-        return identify_arm(listed, description, **settings)
-    return identify_servos(listed, description, **settings)
+    settings: dict[str, Any] = {"held_out": held_out, "law": law, "effort": effort}
+    settings |= {"interval": interval, "seed": seed}
+    settings["effects"] = (effects,) if isinstance(effects, str) else effects
+    settings["progress"] = lambda joints: tqdm(joints, desc="identify", unit="joint", disable=None)
+    fit = identify_servos if description.arm is None else identify_arm
+    return fit(listed, description, **settings)
 
 
 def density(robot: Robot | File) -> Density:

@@ -161,7 +161,7 @@ JOINTS = st.builds(
 MODELS = st.builds(
     Model,
     joints=st.dictionaries(TEXTS.filter(str.isprintable), JOINTS, max_size=3),
-    body=st.dictionaries(TEXTS, st.lists(NUMBERS, max_size=3), max_size=2),
+    body=st.dictionaries(TEXTS.map("_{}".format), st.lists(NUMBERS, max_size=3), max_size=2),
     effects=EFFECTS,
     fit=st.dictionaries(TEXTS, st.dictionaries(TEXTS, NUMBERS | st.none()), max_size=2),
     provenance=st.dictionaries(TEXTS, st.text() | st.integers() | st.none(), max_size=2),

@@ -29,16 +29,15 @@ NEAR = 3.0
 
 
 @wp.func
-def add(sums: wp.array3d(dtype=wp.int64), e: int, link: int, k: int, x: wp.float64) -> int:
+def add(sums: wp.array3d(dtype=wp.int64), e: int, link: int, k: int, x: wp.float64) -> None:
     """Add to one sum of a link."""
     wp.atomic_add(sums, e, link, k, wp.int64(x * wp.float64(wp.static(FIXED_POINT))))
-    return 0
 
 
 @wp.func
 def add_matrix(
     sums: wp.array3d(dtype=wp.int64), e: int, link: int, at: int, r: wp.vec2, k: wp.mat22
-) -> int:
+) -> None:
     """Add G' k G, where G leads from the link's twist to the velocity at r from its centre."""
     ax = wp.float64(r[0])
     ay = wp.float64(r[1])
@@ -57,20 +56,18 @@ def add_matrix(
     add(sums, e, link, at + 6, ax * yx - ay * xx)
     add(sums, e, link, at + 7, ax * yy - ay * xy)
     add(sums, e, link, at + 8, ay * ay * xx - ax * ay * (xy + yx) + ax * ax * yy)
-    return 0
 
 
 @wp.func
 def add_vector(
     sums: wp.array3d(dtype=wp.int64), e: int, link: int, at: int, r: wp.vec2, p: wp.vec2
-) -> int:
+) -> None:
     """Add G' p: a momentum at r and its moment."""
     x = wp.float64(p[0])
     y = wp.float64(p[1])
     add(sums, e, link, at, x)
     add(sums, e, link, at + 1, y)
     add(sums, e, link, at + 2, wp.float64(r[0]) * y - wp.float64(r[1]) * x)
-    return 0
 
 
 @wp.func

@@ -35,11 +35,10 @@ from sim.lattice.velocities import Lattice
 
 
 @wp.func
-def enlist(e: int, kind: int, cell: int, covered: Covered) -> int:
+def enlist(e: int, kind: int, cell: int, covered: Covered) -> None:
     """Add a cell of a body's square to its ghost cells (``kind`` 0) or those next to it (1)."""
     row = 2 * e + kind
     covered.listed[row, wp.atomic_add(covered.count, row, 1)] = cell
-    return 0
 
 
 @wp.func

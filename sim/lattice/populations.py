@@ -112,12 +112,11 @@ def populations(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namesp
         return p
 
     @wp.func
-    def store(f: Stored, n: int, j: Cells, box: Box, p: Vector) -> int:
+    def store(f: Stored, n: int, j: Cells, box: Box, p: Vector) -> None:
         write(f, 0, n, box.total, p[0])
         for k in range(wp.static(pairs)):
             write(f, wp.static(2 * k + 1) + box.t, j[k], box.total, p[2 * k + 1])
             write(f, wp.static(2 * k + 2) - box.t, n, box.total, p[2 * k + 2])
-        return 0
 
     @wp.func
     def moments(p: Vector) -> wp.vec4:

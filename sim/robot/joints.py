@@ -25,7 +25,7 @@ _SWEEPS, _SETTLED = 100, wp.constant(wp.float64(1e-12))
 
 
 @wp.func
-def factorise(e: int, first: int, size: int, s: Motion) -> int:
+def factorise(e: int, first: int, size: int, s: Motion) -> None:
     """Cholesky factor of rows ``first`` to ``size``, in place, below the diagonal."""
     for i in range(first, size):
         for j in range(first, i + 1):
@@ -36,11 +36,10 @@ def factorise(e: int, first: int, size: int, s: Motion) -> int:
                 s.A[e, i, i] = wp.sqrt(x)
             else:
                 s.A[e, i, j] = x / s.A[e, j, j]
-    return 0
 
 
 @wp.func
-def solve(size: int, A: Reals2, x: Reals) -> int:
+def solve(size: int, A: Reals2, x: Reals) -> None:
     """Replace x by the solution, with the Cholesky factor of the matrix below the diagonal of A."""
     for i in range(size):
         y = x[i]
@@ -53,7 +52,6 @@ def solve(size: int, A: Reals2, x: Reals) -> int:
         for k in range(i + 1, size):
             y -= A[k, i] * x[k]
         x[i] = y / A[i, i]
-    return 0
 
 
 @wp.func
@@ -180,7 +178,7 @@ def stop_joints(e: int, size: int, h: wp.float64, friction: Reals, chain: Chain,
 
 
 @wp.func
-def send_to(e: int, k: int, u: wp.float64, chain: Chain, s: Motion) -> int:
+def send_to(e: int, k: int, u: wp.float64, chain: Chain, s: Motion) -> None:
     """Send a set-point to joint k of robot e, which receives it after the latency."""
     number = s.newest[e, k] + 1
     slot = number % wp.static(RING)
@@ -196,7 +194,6 @@ def send_to(e: int, k: int, u: wp.float64, chain: Chain, s: Motion) -> int:
     s.sent[e, k, slot] = u + chain.trim[e, k]
     s.arrival[e, k, slot] = arrives
     s.newest[e, k] = number
-    return 0
 
 
 @wp.kernel(enable_backward=False)

@@ -51,28 +51,19 @@ class Live:
 
 
 class Simulator(Protocol):
-    """What environments need of ``Robots``."""
+    """What environments need of ``Robots``, which has the documentation."""
 
     robot: Robot
     n_envs: int
 
     @property
-    def current(self) -> Array:
-        """As of ``Robots``."""
-
-    def live(self) -> Live:
-        """As of ``Robots``."""
-
-    def advance(self) -> None:
-        """As of ``Robots``."""
-
-    def adopt(self, which: Index, models: Sequence[Model]) -> None:
-        """As of ``Robots``."""
-
-    def reset(
+    def current(self) -> Array: ...  # noqa: D102
+    def live(self) -> Live: ...  # noqa: D102
+    def advance(self) -> None: ...  # noqa: D102
+    def adopt(self, which: Index, models: Sequence[Model]) -> None: ...  # noqa: D102
+    def reset(  # noqa: D102
         self, mask: Mask | None = None, pose: Array | None = None, joint: Array | None = None
-    ) -> None:
-        """As of ``Robots``."""
+    ) -> None: ...
 
 
 class Robots(ABC):

@@ -47,7 +47,7 @@ def column(e: int, link: int, i: int, s: Motion) -> wp.vec3d:
 
 
 @wp.func
-def pose_links(e: int, chain: Chain, s: Motion) -> int:
+def pose_links(e: int, chain: Chain, s: Motion) -> None:
     """Poses of the links and positions of the joints from the coordinates."""
     heading = s.q[e, 2]
     com = chain.com[e, 0]
@@ -65,22 +65,20 @@ def pose_links(e: int, chain: Chain, s: Motion) -> int:
         s.link[e, k] = wp.vec3d(x - com * c - side * d, y - com * d + side * c, heading)
         x -= chain.length[k] * c
         y -= chain.length[k] * d
-    return 0
 
 
 @wp.func
-def move_links(e: int, s: Motion) -> int:
+def move_links(e: int, s: Motion) -> None:
     """Velocities of the links from those of the coordinates."""
     for k in range(s.link.shape[1]):
         v = wp.vec3d()
         for i in range(3 + k):
             v += column(e, k, i, s) * s.v[e, i]
         s.twist[e, k] = v
-    return 0
 
 
 @wp.func
-def show(e: int, chain: Chain, s: Motion, grid: OnGrid) -> int:
+def show(e: int, chain: Chain, s: Motion, grid: OnGrid) -> None:
     """Set the links' poses and velocities for the fluid, and the range of cells around them."""
     low = wp.vec2d(wp.float64(1e30), wp.float64(1e30))
     high = -low
@@ -111,7 +109,6 @@ def show(e: int, chain: Chain, s: Motion, grid: OnGrid) -> int:
     )
     middle = (low + high) * wp.float64(0.5)
     grid.position[e] = wp.vec2(float(middle[0]), float(middle[1]))
-    return 0
 
 
 @wp.func
@@ -148,17 +145,16 @@ def about(p: wp.vec3d, x: wp.vec3d, sign: wp.float64) -> wp.vec3d:
 
 
 @wp.func
-def begin(e: int, h: wp.float64, chain: Chain, s: Motion) -> int:
+def begin(e: int, h: wp.float64, chain: Chain, s: Motion) -> None:
     """Start the equations of a step with the outside forces."""
     for i in range(s.q.shape[1]):
         s.b[e, i] = h * chain.push[e, i]
         for j in range(i + 1):
             s.A[e, i, j] = wp.float64(0.0)
-    return 0
 
 
 @wp.func
-def solve_free(e: int, h: wp.float64, chain: Chain, s: Motion, friction: Reals2) -> int:
+def solve_free(e: int, h: wp.float64, chain: Chain, s: Motion, friction: Reals2) -> None:
     """Add servos and skin to the equations and solve them for joints that move freely."""
     N = s.q.shape[1]
     for k in range(N - 3):
@@ -170,7 +166,6 @@ def solve_free(e: int, h: wp.float64, chain: Chain, s: Motion, friction: Reals2)
     factorise(e, 0, N, s)
     solve(N, s.A[e], s.b[e])
     stop_joints(e, N, h, friction[e], chain, s)
-    return 0
 
 
 @wp.kernel(enable_backward=False)
@@ -305,7 +300,7 @@ def middle(e: int, ahead: wp.float64, chain: Chain, s: Motion) -> wp.vec2d:
 
 
 @wp.func
-def measure(e: int, h: wp.float64, chain: Chain, s: Motion) -> int:
+def measure(e: int, h: wp.float64, chain: Chain, s: Motion) -> None:
     """Angles that the joints' sensors read."""
     for k in range(s.q.shape[1] - 3):
         angle = s.q[e, 3 + k]
@@ -315,7 +310,6 @@ def measure(e: int, h: wp.float64, chain: Chain, s: Motion) -> int:
                 chain.memory[e, k], chain.active[e, k],
             )  # fmt: skip
         s.measured[e, k] = angle - chain.trim[e, k]
-    return 0
 
 
 @wp.kernel(enable_backward=False)

@@ -1,10 +1,8 @@
 """Definition of an effect of a servo: its parameters, the site where it acts, and its term."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import warp as wp  # with F and Row the language of terms, for all effects
 
@@ -122,7 +120,7 @@ class Effect:
     # are no finding
     mimics: tuple[str, ...] = ()
 
-    def excludes(self, other: Effect) -> bool:
+    def excludes(self, other: Self) -> bool:
         """Whether a joint has at most one of the two.
 
         Effects of one family exclude each other at one site and on the shaft (load and friction):

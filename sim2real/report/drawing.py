@@ -7,7 +7,6 @@ import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -86,36 +85,29 @@ def house_style() -> Iterator[None]:
 def new_figure(height: float, label: str) -> Iterator[Figure]:
     """An empty figure of ``WIDE`` by ``height`` points, one pixel each, to be drawn in the style.
 
-    ``label`` is for screen readers.
+    ``label`` is for screen readers. Notebooks show the figure where pyplot is not imported, too.
     """
     with house_style():
-        size = (WIDE / POINTS_PER_INCH, height / POINTS_PER_INCH)
-        yield _notebook_figure()(figsize=size, layout="constrained", label=label)
-
-
-@cache
-def _notebook_figure() -> type[Figure]:
-    """Matplotlib's figure, which notebooks also show where pyplot is not imported."""
-    with optional("plots and pages"):
         from matplotlib.figure import Figure
 
-    class NotebookFigure(Figure):
-        def _repr_png_(self) -> bytes:
-            stream = io.BytesIO()
-            with house_style():
-                self.savefig(stream, format="png", bbox_inches="tight")
-            return stream.getvalue()
+        size = (WIDE / POINTS_PER_INCH, height / POINTS_PER_INCH)
+        figure = Figure(size, layout="constrained", label=label)
+        figure._repr_png_ = lambda: _png(figure, bbox_inches="tight")  # type: ignore[attr-defined]
+        yield figure
 
-    return NotebookFigure
+
+def _png(figure: Figure, **look: Any) -> bytes:  # noqa: ANN401 - of savefig
+    stream = io.BytesIO()
+    with house_style():
+        figure.savefig(stream, format="png", **look)
+    return stream.getvalue()
 
 
 def save_png(figure: Figure, path: str | os.PathLike[str]) -> Path:
     """Write ``figure`` to ``path`` at 150 dots per inch."""
-    stream = io.BytesIO()
-    look: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": MARGIN_INCHES}
-    with _unchanged(figure), house_style():
-        figure.savefig(stream, format="png", dpi=PNG_DPI, metadata={"Software": None}, **look)
-    return write_whole(path, stream.getvalue())
+    look = {"bbox_inches": "tight", "pad_inches": MARGIN_INCHES, "metadata": {"Software": None}}
+    with _unchanged(figure):
+        return write_whole(path, _png(figure, dpi=PNG_DPI, **look))
 
 
 def svg(figure: Figure) -> str:

@@ -4,8 +4,6 @@ The only script is that of plots of time series (``series``), in pages that have
 characters, as in names from files, are replaced.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import os
@@ -15,14 +13,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from sim2real.errors import optional
 from sim2real.output import write_whole
-
-if TYPE_CHECKING:
-    from jinja2 import Template
-    from markupsafe import Markup
 
 _FOLDER = Path(__file__).parent
 _SHOWN = 12
@@ -169,7 +163,7 @@ def render_page(
     style = ("page.css", *(("uplot/uPlot.min.css", "live_plot.css") if live else ()))
     # A content security policy allows this script alone.
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    return _template().render(
+    page: str = _template().render(
         title=title,
         subtitle=subtitle,
         sections=sections,
@@ -178,6 +172,7 @@ def render_page(
         script=script,
         script_source=f"'sha256-{digest}'",
     )
+    return page
 
 
 def render_fragment(sections: Sequence[Section]) -> str:
@@ -192,7 +187,7 @@ def _texts(*names: str) -> str:
     return "\n".join((_FOLDER / name).read_text(encoding="utf-8") for name in names)
 
 
-def _template() -> Template:
+def _template() -> Any:  # noqa: ANN401 - of Jinja
     with optional("plots and pages"):
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
     environment = Environment(
@@ -202,9 +197,8 @@ def _template() -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.globals.update(
-        kind=lambda block: type(block).__name__, prose=_prose, breakable=_breakable
-    )
+    kind = lambda block: type(block).__name__  # noqa: E731
+    environment.globals.update(kind=kind, prose=_prose, breakable=_breakable)
     return environment.get_template("page.html")
 
 
@@ -234,7 +228,7 @@ def _prose(text: str) -> str:
     return re.sub(r"(?<=\d) (?=%)", "\N{NO-BREAK SPACE}", printable(text))
 
 
-def _breakable(text: str) -> Markup:
+def _breakable(text: str) -> Any:  # noqa: ANN401 - markup
     """``text`` as HTML in which long names, unlike units, may break between their parts."""
     with optional("plots and pages"):
         from markupsafe import Markup, escape

@@ -142,19 +142,11 @@ def stated(
     The load is ``PER_INERTIA`` where none was known. The law is by default the motor's if the row
     has a motor, else the linear one.
     """
-    motor = motor_of(row)
+    motor, unknown = motor_of(row), load is PER_INERTIA
     kp, kd, latency = (float(x) for x in row[:3])
-    return JointModel(
-        kp,
-        kd,
-        latency,
-        inertia_kgm2=load.inertia_kgm2,
-        per_inertia=load is PER_INERTIA,
-        law=law or ("motor" if motor else "pd"),
-        motor=motor,
-        load=None if load is PER_INERTIA else load,
-        effects=tuple(effects),
-    )
+    own, known = law or ("motor" if motor else "pd"), None if unknown else load
+    servo = JointModel(kp, kd, latency, load.inertia_kgm2, unknown, own, motor, known)
+    return replace(servo, effects=tuple(effects))
 
 
 def context_factors(supply_ratio: float, gain_ratio: float) -> Array:

@@ -7,13 +7,11 @@ of the squared residual on the squared speed distinguishes them.
 
 from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 
-_SEED = wp.constant(31)
-"""A separate random stream, independent of other effects."""
-
 
 @wp.func
 def scatter(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    number = wp.float64(wp.randf(wp.rand_init(_SEED, int(q))))
+    # A random stream of its own.
+    number = wp.float64(wp.randf(wp.rand_init(31, int(q))))
     return x + p[c] * (wp.float64(2.0) * number - wp.float64(1.0))
 
 

@@ -6,14 +6,12 @@ change of the set-point. Confused with: latency jitter, whose delay is bounded b
 
 from sim2real.effects.effect import Effect, F, Parameter, Row, wp
 
-_SEED = wp.constant(33)
-"""A separate random stream, independent of other effects."""
-
 
 @wp.func
 def lose(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Time at which a set-point takes effect in s; infinite if it is lost."""
-    if wp.float64(wp.randf(wp.rand_init(_SEED, int(q)))) < p[c]:
+    # A random stream of its own.
+    if wp.float64(wp.randf(wp.rand_init(33, int(q)))) < p[c]:
         return wp.float64(wp.inf)
     return x
 
