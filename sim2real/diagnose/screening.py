@@ -156,14 +156,16 @@ def _scores(
     """Scores of starts, the parts of them by block, and the scores that they would have."""
     total = gram.sum(axis=0)
     noise = np.sqrt(total[0, 0] / count)
-    cross = total[1:free, starts]
-    taken = np.linalg.pinv(total[1:free, 1:free], rcond=1e-10, hermitian=True) @ cross
-    norm2 = square - np.einsum("fs,fs->s", cross, taken)
-    # Directions that the free parameters take up whole say nothing.
-    seen = norm2 > 1e-6 * square + 1e-30
-    norm = np.sqrt(np.where(seen, norm2, 1.0))
-    along = gram[:, 0, starts] - gram[:, 0, 1:free] @ taken
-    pieces = np.where(seen, -along / (norm * noise), 0.0)
+    inverse = np.linalg.pinv(total[1:free, 1:free], rcond=1e-10, hermitian=True)
+    # Directions that the free parameters take up whole say nothing, nor servos that diverged.
+    with np.errstate(over="ignore", invalid="ignore"):
+        cross = total[1:free, starts]
+        taken = inverse @ cross
+        norm2 = square - np.einsum("fs,fs->s", cross, taken)
+        seen = norm2 > 1e-6 * square + 1e-30
+        norm = np.sqrt(np.where(seen, norm2, 1.0))
+        along = gram[:, 0, starts] - gram[:, 0, 1:free] @ taken
+        pieces = np.where(seen, -along / (norm * noise), 0.0)
     return pieces.sum(axis=0), pieces, np.where(seen, norm / noise, 0.0)
 
 

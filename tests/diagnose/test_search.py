@@ -13,7 +13,7 @@ from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.effect_search import search_again
 from sim2real.diagnose.investigate import investigate
-from sim2real.diagnose.screening import FITTED, Screen, candidate, screen
+from sim2real.diagnose.screening import FITTED, Screen, _scores, candidate, screen
 from sim2real.diagnose.servo_search import baselines, plain_sets
 from sim2real.effects import named
 from sim2real.identification.servo_problem import residual_angles
@@ -153,3 +153,14 @@ def test_an_effect_of_a_start_s_strength_scores_what_is_visible_of_it():
     expected = np.mean([s.visible[0] for s in scores])
     assert expected > 5
     assert np.mean([s.score[0] for s in scores]) == pytest.approx(expected, abs=4 / np.sqrt(6))
+
+
+def test_an_effect_whose_simulation_diverges_scores_nothing():
+    rng = np.random.default_rng(3)
+    differences = rng.normal(size=(50, 6))  # residual, two free parameters, three starts
+    differences[:, 5] = 1e200
+    with np.errstate(over="ignore"):
+        gram = (differences.T @ differences)[None]
+    score, _, seen = _scores(gram, np.diag(gram[0])[3:], 50.0, 3, np.s_[3:6])
+    assert score[2] == seen[2] == 0.0
+    assert np.all(seen[:2] > 0)
