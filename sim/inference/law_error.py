@@ -211,7 +211,7 @@ def _promising(problem: SwimProblem, fit: Fit) -> dict[Members, float]:
     best: Members = frozenset()
     evidence = {best: problem.evidence(best, fit)}
     for _ in range(3):
-        larger = {best | {e} for e in problem.coordinates.effects.keys() - best}
+        larger = [best | {e} for e in sorted(problem.coordinates.effects.keys() - best)]
         evidence |= {members: problem.evidence(members, fit) for members in larger}
-        best = max(sorted(larger, key=sorted), key=lambda members: evidence[members])
+        best = max(larger, key=lambda members: evidence[members])
     return evidence
