@@ -1,7 +1,5 @@
 """Gymnasium environments of one swimming robot and of a batch."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

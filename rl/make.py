@@ -4,8 +4,6 @@ By default it has the three-joint fish of Lin, Liu and Wang (IEEE RA-L 2025) in 
 body calibrated to the first shipped swim (``datasets/pool``).
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence

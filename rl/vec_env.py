@@ -1,7 +1,5 @@
 """Stable-Baselines3 vector environment of a batch of swimming robots."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ Observations, rewards and noise are computed on the device of the simulator; the
 is never copied to the host.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """``sim2real ablate``."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """``sim2real demo``: the whole chain on the shipped data, ending in one HTML page."""
 
-from __future__ import annotations
-
 import argparse
 import io
 import multiprocessing

@@ -1,7 +1,5 @@
 """Command-line options for training, evaluating and deploying policies."""
 
-from __future__ import annotations
-
 from rl import verbs
 from sim2real.commands.command import EXECUTOR, Command
 

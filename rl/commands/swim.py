@@ -1,7 +1,5 @@
 """``sim2real swim``: a policy drives the robot, or a virtual one, to a target."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """``sim2real train``."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Classical and learned controllers with the observations and set-points of the task."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 from sim2real.arrays import Array32

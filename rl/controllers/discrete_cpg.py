@@ -4,8 +4,6 @@ Similar to the controller "Zhang et al." of the paper (IEEE Trans. Robot., 2022)
 table, duration of a choice and network; trained by deep Q-learning (Mnih et al., Nature 518, 2015).
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Policies of agents trained with Stable-Baselines3, exported to NumPy, C and ONNX."""
 
-from __future__ import annotations
-
 import math
 import os
 import warnings

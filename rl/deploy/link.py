@@ -37,8 +37,6 @@ increase, or increases by more than ``TRACKER_S`` and the time since the last po
 session of poses that was recorded can be replayed while no tracker sends.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import secrets

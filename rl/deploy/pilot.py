@@ -1,7 +1,5 @@
 """Control of one robot to a target over the network, without PyTorch."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections import deque

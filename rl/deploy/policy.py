@@ -1,7 +1,5 @@
 """A policy as a file of arrays, its evaluation, and a controller of it, with NumPy only."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Mapping

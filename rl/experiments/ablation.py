@@ -3,8 +3,6 @@
 Without a technique the default of the old simulator is used (Lin, Liu, Wang, Sec. IV-D).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

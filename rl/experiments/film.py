@@ -1,7 +1,5 @@
 """Video of an evaluation from above; in the fluid with the vorticity of the simulated box."""
 
-from __future__ import annotations
-
 from contextlib import AbstractContextManager
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Controllers by their names on the command line: policy files and classical controllers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -7,8 +7,6 @@ of ``AT_ONCE``. A robot whose episode is over is commanded to straight joints. A
 missed.
 """
 
-from __future__ import annotations
-
 import inspect
 import runpy
 import sys

@@ -5,8 +5,6 @@ a one-way layout with random effects (Searle, Casella and McCulloch, Variance Co
 ch. 3). More trials average W away and not B.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

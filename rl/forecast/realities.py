@@ -4,8 +4,6 @@ Parameters, discrepancy and noise are kept apart (Kennedy and O'Hagan, J. R. Sta
 425).
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Policies swim in drawn realities, in a simulator with the errors that it is known to have."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 from collections.abc import Mapping, Sequence

@@ -4,8 +4,6 @@ Draws are weighted by the likelihood of observations (importance sampling: Gordo
 Smith, IEE Proc. F 140 (1993) 107).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Plans of a training: hyper-parameters, recipes of this library and of the paper, options."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace

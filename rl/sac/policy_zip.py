@@ -5,8 +5,6 @@ name). Stable-Baselines3 pickles objects into ``data``, which are never unpickle
 taken from the text beside them, and arrays of joint angles are the bytes in the pickles' code.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import os

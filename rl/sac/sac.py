@@ -1,7 +1,5 @@
 """Stable-Baselines3's SAC, trained by ``rl.sac.agents``."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Mapping, Sequence

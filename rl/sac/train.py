@@ -5,8 +5,6 @@ written and all episodes restart, with seeds of the run and the segment only: a 
 resumes exactly from its last checkpoint.
 """
 
-from __future__ import annotations
-
 import math
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """``sim2real diagnose``: servos, or the body if the recordings are swims in a pool."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Commands that need the fluid or its twin for bodies in the water."""
 
-from __future__ import annotations
-
 from sim import verbs
 from sim2real.commands.command import VIEWS, Command
 

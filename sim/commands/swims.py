@@ -1,7 +1,5 @@
 """``sim2real simulate``, ``calibrate``, ``fit-twin`` and ``design``."""
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import replace
 

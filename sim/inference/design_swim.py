@@ -6,8 +6,6 @@ that of its estimate. Commands are travelling waves (the gaits of a fish: Videle
 Chapman and Hall, 1993) and square waves, as of the swims on which that error was measured.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ An effect is reported if it predicts the end of each swim better when fitted to 
 Thresholds are in ``law_error.json``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial

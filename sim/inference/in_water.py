@@ -5,8 +5,6 @@ twin predicts only differences (a control variate; Peherstorfer, Willcox and Gun
 60 (2018) 550), also with other settings. For a calibration an ``emulator`` is linear.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -4,8 +4,6 @@ It is measured on swims in which nothing is missing, of many robots
 (``benchmarks/pool_law_error.py``, ``pool_decisions.py``), and of one robot from its references.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -4,8 +4,6 @@ A shape adds a few columns with a prior to those of a fit, and so has an evidenc
 standard deviations of the noise and of the simulator's usual error, transformed back to time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product

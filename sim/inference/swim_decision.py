@@ -3,8 +3,6 @@
 Pure functions of ``Searched.raw``: ``benchmarks/pool_decisions.py`` fits thresholds to many.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -6,8 +6,6 @@ evidence is that of a normal model with all columns (MacKay, Information Theory,
 Learning Algorithms (2003), ch. 28).
 """
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace

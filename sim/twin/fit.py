@@ -1,7 +1,5 @@
 """The coefficients of the twin's law, fitted to swims of a robot in the fluid by least squares."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 

@@ -3,8 +3,6 @@
 Thousands of times faster than the fluid, to which its coefficients are fitted (``reports/twin``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any

@@ -4,8 +4,6 @@ A canvas has its rows from the top, shape (height, width, 3), values 0 to 255. `
 the world coordinates of its columns and rows in m: shapes (width,) and (height,), ``y`` decreasing.
 """
 
-from __future__ import annotations
-
 import io
 import os
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Swims, measured and simulated before and after a fit: panels, sections of pages, scenes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Video that is written frame by frame, without keeping frames in memory."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import tempfile

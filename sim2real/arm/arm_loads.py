@@ -5,8 +5,6 @@ that the other joints' motions of the last iteration exert, until no motion chan
 Ruehli, Sangiovanni-Vincentelli, IEEE Transactions on Computer-Aided Design 1 (1982) 131-145.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """An arm: the rigid bodies of its URDF, which recorded joint is which of its, and its dynamics."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``sim2real scan`` and ``sim2real virtual-servo``: servos on a bus, real and simulated."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time

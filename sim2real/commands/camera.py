@@ -1,7 +1,5 @@
 """``sim2real track`` and ``sim2real calibrate-camera``: an overhead camera."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """One command of the command line, and its options, from the signatures of functions."""
 
-from __future__ import annotations
-
 import argparse
 import ast
 import inspect

@@ -1,7 +1,5 @@
 """Files of other tools: ``import``, ``robot``, ``export-servo`` and ``export-ranges``."""
 
-from __future__ import annotations
-
 import argparse
 import tomllib
 

@@ -1,7 +1,5 @@
 """Command-line options of commands on recordings, models and servos."""
 
-from __future__ import annotations
-
 from sim2real import exchange, verbs
 from sim2real.commands.command import VIEWS, Command
 

@@ -1,7 +1,5 @@
 """``sim2real record``; ``sim2real bench``, from servos on a port to identified gains."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

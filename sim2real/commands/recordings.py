@@ -3,8 +3,6 @@
 Also ``density`` and ``completion``.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import replace

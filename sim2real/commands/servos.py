@@ -1,7 +1,5 @@
 """``sim2real servos``."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -12,8 +12,6 @@ of it with a Gaussian spectrum, by random Fourier features (Rahimi and Recht, Ne
 set-point that is lost is an error of the command by its last change.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

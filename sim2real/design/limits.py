@@ -3,8 +3,6 @@
 Commands that keep the limits are played by ``sim2real record`` without a change.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

@@ -14,8 +14,6 @@ samples is at most n/2 log(1 + r'r / n) (Brockwell and Davis, Time Series, 1991,
 diagnosis trusts a share of it (``effect_probabilities.trusted_share``).
 """
 
-from __future__ import annotations
-
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence

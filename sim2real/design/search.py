@@ -1,7 +1,5 @@
 """Search for the best command: random ones, of which the best are varied."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

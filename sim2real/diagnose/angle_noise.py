@@ -4,8 +4,6 @@ Innovations are smaller at rest where the sensor is coarser than its noise; with
 innovations in motion would pass for irregular timing of set-points, which is tested against it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -5,8 +5,6 @@ the diagnosis and for ``benchmarks/calibrate_decisions.py``, which fitted the we
 ``decision.json`` to development cases whose truth is known.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """One robot to diagnose, and its joints made ready for it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

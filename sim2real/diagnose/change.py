@@ -6,8 +6,6 @@ freed in one reference alone explains something there, though nothing has change
 gain* a case is judged, with Student's tails, references being few.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 

@@ -5,8 +5,6 @@ Gains and costs in ``decision.json`` are in log-likelihood, excesses in variance
 are "chosen". A number of a group is stored as ``group.name``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

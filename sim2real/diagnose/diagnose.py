@@ -1,7 +1,5 @@
 """From recordings to a diagnosis: is something missing, where, what, and what to do next."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Probabilities of effects, and which of them the recordings cannot distinguish."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ while they are small. Left out, their waves pass for any effect; so they are fit
 what explains most.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations

@@ -6,8 +6,6 @@ motion of the whole as it was, so many starts are compared at full strength with
 train. The best of each branch are fitted, and then starts around what fits best.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """From recordings of a robot to what each of its joints is missing."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """What is known of one joint in the end: errors, parameters with their intervals, models."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 

@@ -5,8 +5,6 @@ cycle is chaotic, so no trajectory fit can follow it; what remains is a narrow p
 at its frequency or an alias of it. A vibration from outside has such a peak too.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

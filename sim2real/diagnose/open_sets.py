@@ -1,7 +1,5 @@
 """What recordings of a joint leave open: sets of effects, and effects too small to show."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ A change that has no name shows in what the named ones leave: too much, or jumps
 a shaft makes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

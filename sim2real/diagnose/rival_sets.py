@@ -3,8 +3,6 @@
 Sets of the effects of a joint, and, from swims, of body and camera, as ``diagnosis.json`` has them.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Effects as candidates: seen linearly, all at once, in what a fit leaves, and free in a fit."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Servos with effects, fitted to the joints of a batch: the plain one, and what a search asks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

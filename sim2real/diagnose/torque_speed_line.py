@@ -1,7 +1,5 @@
 """The motor's limit of torque, as the data sheet states it, of joints whose model has none."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

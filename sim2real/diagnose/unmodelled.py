@@ -5,8 +5,6 @@ the linearised servo through 1 / (I s2 + kd s + kp + gravity), or of errors of t
 by least squares together with the gains and the noise model.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

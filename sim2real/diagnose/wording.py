@@ -3,8 +3,6 @@
 What is named, what is listed and the verdict follow from the probabilities of its joints.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ They are simulated, not measured, by programs that share no code with the librar
 (``datasets/servo_steps`` and ``datasets/pool`` of the repository).
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -4,8 +4,6 @@ It ends, with everything started here, when standard input is closed. Exit statu
 done, 2 for wrong input, 1 if it raised an exception.
 """
 
-from __future__ import annotations
-
 import fcntl
 import importlib
 import os

@@ -1,7 +1,5 @@
 """A job, its run folder, its process and its outcome."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Run jobs on this machine, or on a Ray cluster, skipping those that are done."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os

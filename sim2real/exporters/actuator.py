@@ -1,7 +1,5 @@
 """The identified actuator in terms common to simulators, and lists of what a target lacks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

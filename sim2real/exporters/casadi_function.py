@@ -6,8 +6,6 @@ as an impulse that can stop the shaft. Limits and friction are rounded off: with
 differs from the sharp one by at most w / 2 and has all derivatives.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The text of an MJCF file with a servo on one of its hinges; all else stays as it is written."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence

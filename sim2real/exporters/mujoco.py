@@ -4,8 +4,6 @@ Joint attributes and the ``<actuator>`` section can be copied to the model of a 
 are the load of the recordings. Terms: https://mujoco.readthedocs.io, XML reference.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

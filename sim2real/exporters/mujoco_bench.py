@@ -1,7 +1,5 @@
 """Simulation of an exported MuJoCo model, and export of the model whose simulation is nearest."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

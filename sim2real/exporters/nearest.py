@@ -6,8 +6,6 @@ therefore refitted, to recordings or to predictions of the full model on a stand
 several such models, the plain servo among them, the one with the smallest error is exported.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal

@@ -6,8 +6,6 @@ Fields and calls: Isaac Lab 2.3 and 3.0 (``isaaclab.actuators``; 3.0 accepts the
 drive for BAM's servos is in no release yet), Genesis (``RigidEntity``).
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 

@@ -4,8 +4,6 @@ Names: Isaac Lab 2.3 and 3.0 (``isaaclab.envs.mdp.events``), mjlab 1.5 and 1.6, 
 Playground (``randomization_fn`` of https://github.com/google-deepmind/mujoco_playground).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The simulators and formats that actuators are exported to, and what each expresses."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """The buses by name; opening one, with a journal of what is changed in the servos of its port."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

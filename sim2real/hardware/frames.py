@@ -1,7 +1,5 @@
 """Frames of the servos' protocols: packets to bytes, and packets found in any bytes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 

@@ -1,7 +1,5 @@
 """LX bus servos (LX-16A, LX-224, LX-824)."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Mounting of servos in joints: which servo is in which joint, conversion of ticks to angles."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

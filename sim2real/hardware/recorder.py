@@ -1,7 +1,5 @@
 """A recording from beginning to end: motion to the start, set-points and rows, release."""
 
-from __future__ import annotations
-
 import csv
 import math
 import os

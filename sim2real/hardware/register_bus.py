@@ -1,7 +1,5 @@
 """Buses whose servos are controlled by reading and writing registers: Dynamixel and Feetech."""
 
-from __future__ import annotations
-
 import math
 import time
 from abc import abstractmethod

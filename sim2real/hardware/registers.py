@@ -1,7 +1,5 @@
 """Registers of Dynamixel and Feetech servos; their models are in ``servo_models.toml``."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from collections.abc import Mapping, Sequence

@@ -7,8 +7,6 @@ x, y, yaw and blur, with the grey levels of paper and ink, by least squares (Bak
 Int. J. Comput. Vis. 56 (2004) 221).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

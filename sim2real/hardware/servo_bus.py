@@ -1,7 +1,5 @@
 """A bus of servos: what the commands need of it, and requests with deadlines and repetition."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence

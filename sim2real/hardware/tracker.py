@@ -5,8 +5,6 @@ nearby, then in the whole frame. Frames in which it is not found are missing. Ro
 carry a marker have a coloured patch.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable, Iterator

@@ -18,8 +18,6 @@ has sent no packets, and ignore numbers that are not 1 to ``AHEAD`` larger than 
 computer's address can move the servos. Nothing is encrypted.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hmac
 import math

@@ -1,7 +1,5 @@
 """Virtual servos on one wire: shafts, transmission times, noise, losses; served to a host."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os

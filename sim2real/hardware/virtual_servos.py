@@ -1,7 +1,5 @@
 """Virtual servos: LX, and those that are controlled by registers, Dynamixel and Feetech."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar, Literal

@@ -1,7 +1,5 @@
 """Notes on a fit, one sentence each."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import compress

@@ -7,8 +7,6 @@ lattice, whose period is found by a periodogram (as for pulsars: Buccheri and ot
 Astrophys. 128 (1983) 245, one harmonic).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fits of one joint: the linear servo, the parts of a motor's law that the data show, effects."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import compress

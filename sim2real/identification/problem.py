@@ -1,7 +1,5 @@
 """The least-squares problem of a servo: residuals, their derivatives, prior, and its solution."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property

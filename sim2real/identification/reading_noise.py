@@ -4,8 +4,6 @@ Readings that are far from their neighbours are left out. Where the times of rea
 bus that is polled, the noise grows with speed: a variance of ``rest^2 + (jitter speed)^2``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

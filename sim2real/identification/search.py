@@ -1,7 +1,5 @@
 """Search for the parameters of a servo: many starts at once, robust to outliers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial

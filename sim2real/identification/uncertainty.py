@@ -1,7 +1,5 @@
 """Uncertainty of a fit with correlated residuals, and intervals of its parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations

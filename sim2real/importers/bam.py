@@ -20,8 +20,6 @@ under the curve is the same. Source: Duclusaud, Passault, Padois, Ly, Extended F
 the Physics Simulation of Servo Actuators, ICRA 2025.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from pathlib import Path

@@ -4,8 +4,6 @@ Layout: https://huggingface.co/docs/lerobot, "LeRobotDataset v3.0". Tables are P
 pyarrow: a file for each episode (2.x), or files of many episodes that ``meta/episodes`` indexes.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path

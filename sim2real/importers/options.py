@@ -1,7 +1,5 @@
 """What a log does not state, from options: units of its angles, loads of its joints."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Mapping, Sequence

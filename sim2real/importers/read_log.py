@@ -1,7 +1,5 @@
 """Logs of all tools: which kind a log is, which options it takes, and its reader."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

@@ -4,8 +4,6 @@ Text with columns separated by commas, as Dynamixel and Feetech tools write it, 
 or spaces, with decimal points or commas and lines of comments.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Mapping, Sequence

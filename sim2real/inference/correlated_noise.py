@@ -4,8 +4,6 @@ A residual is whitened by an autoregression, e_k = x_k - a_1 x_(k-1) - ... - a_p
 coefficients are fitted to it. A sample counts where it and the p before it were measured.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Terms of the log-evidence of a fit."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

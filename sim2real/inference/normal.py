@@ -1,7 +1,5 @@
 """Constants of the normal distribution."""
 
-from __future__ import annotations
-
 LEVEL = 0.9
 """Probability of intervals unless another one is asked for."""
 Z90 = 1.645

@@ -1,7 +1,5 @@
 """Parameters of servos, effects, bodies, fluids and cameras, their priors, points among them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Time windows in which a residual exceeds the noise, and parts of a motion in which it is."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 Many cases (joints, robots) are searched together, so that a problem can share launches.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations

@@ -1,7 +1,5 @@
 """Variance between groups and within them, from estimates whose errors are known."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A Markov chain in a file, which continues with identical results, and how well it has mixed."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import math

@@ -1,7 +1,5 @@
 """Sample the posterior of one servo from its recordings, and check it on a held-out one."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

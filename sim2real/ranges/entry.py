@@ -1,7 +1,5 @@
 """One randomization range, and the file of them, ``ranges.json``."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Ranges of a type of servo: what units of it, and runs of one unit, differ by."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence

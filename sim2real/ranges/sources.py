@@ -1,7 +1,5 @@
 """Ranges from single sources: posterior, model, body, and noise of joints and camera."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any

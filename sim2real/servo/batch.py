@@ -1,7 +1,5 @@
 """Many least-squares problems of many joints at once: rollouts to whitened normal equations."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

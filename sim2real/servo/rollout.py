@@ -1,7 +1,5 @@
 """Batched rollouts: simulated angles of many parameter sets on commands or recordings."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache

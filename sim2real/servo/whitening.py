@@ -6,8 +6,6 @@ ones. Noise that is correlated in time is whitened by an autoregression with coe
 problem, or by a Kalman filter.
 """
 
-from __future__ import annotations
-
 import warp as wp
 
 from sim2real.effects.effect import Row, Table
