@@ -143,7 +143,8 @@ INTERVALS = st.tuples(
     st.floats(allow_nan=False, min_value=0),
 )
 EFFECTS = st.lists(
-    st.builds(FittedEffect, TEXTS, st.dictionaries(TEXTS, NUMBERS, max_size=2)), max_size=2
+    st.builds(FittedEffect, TEXTS, st.dictionaries(TEXTS.map("{}_".format), NUMBERS, max_size=2)),
+    max_size=2,
 ).map(tuple)
 JOINTS = st.builds(
     JointModel,
