@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -222,17 +223,24 @@ def seen(t: Array, track: Array, parameters: Sequence[Mapping[str, float]]) -> A
 
 
 def by_twin(robot: Robot, **options: Any) -> SwimSimulator:  # noqa: ANN401 - those of Twin
-    """The reduced-order twin as a simulator."""
-    return lambda models, swim: Twin(robot, models, n_envs=len(models), **options).swum(
-        swim.command, swim.start
-    )
+    """The reduced-order twin as a simulator, which other processes can take."""
+    return partial(_in_twin, robot, options)
+
+
+def _in_twin(robot: Robot, options: Any, models: Sequence[Model], swim: Swim) -> Array:  # noqa: ANN401
+    """Tracks of models on a swim in the twin."""
+    return Twin(robot, models, n_envs=len(models), **options).swum(swim.command, swim.start)
 
 
 def by_fluid(robot: Robot, **options: Any) -> SwimSimulator:  # noqa: ANN401 - those of Swimmer
-    """The lattice-Boltzmann fluid as a simulator."""
-    return lambda models, swim: swum(
-        Swimmer(robot, models, n_envs=len(models), **options), swim.command, swim.start
-    )
+    """The lattice-Boltzmann fluid as a simulator, which other processes can take."""
+    return partial(_in_fluid, robot, options)
+
+
+def _in_fluid(robot: Robot, options: Any, models: Sequence[Model], swim: Swim) -> Array:  # noqa: ANN401
+    """Tracks of models on a swim in the fluid."""
+    swimmer = Swimmer(robot, models, n_envs=len(models), **options)
+    return swum(swimmer, swim.command, swim.start)
 
 
 def swum(swimmer: Swimmer, commands: Array, start: Array) -> Array:

@@ -4,6 +4,7 @@ import argparse
 import importlib
 import inspect
 import json
+import pickle
 import shutil
 from contextlib import nullcontext
 from dataclasses import replace
@@ -178,14 +179,14 @@ def test_predict_refuses_what_it_cannot_run(bench, capsys):
 
 
 class InThisProcess(nullcontext):
-    """An executor whose work is done where it is submitted."""
+    """An executor whose work is done where it is submitted, and pickled as by another process."""
 
     def __init__(self, *_):
         super().__init__(self)
 
     def submit(self, work, *given):
-        value = work(*given)
-        return SimpleNamespace(result=lambda: value)
+        value = pickle.dumps(work(*given))
+        return SimpleNamespace(result=lambda: pickle.loads(value))
 
     def shutdown(self, **_):
         pass
@@ -198,7 +199,7 @@ def test_demo_ends_in_a_page(short, tmp_path, capsys, monkeypatch):
     from sim.inference.coordinates import candidates
 
     out, data = tmp_path / "demo", short / "datasets"
-    # in this process, where the trials are short; the slow test starts the second
+    # in this process, where the trials are short
     monkeypatch.setattr(demo, "ProcessPoolExecutor", InThisProcess)
     monkeypatch.setitem(TASKS, "turn", replace(TASKS["turn"], steps=40))
     monkeypatch.setattr(demo, "_DIAGNOSED", ("steps",))
