@@ -177,7 +177,7 @@ def _settings(file: Path, content: bytes, expected: str) -> dict[str, Any]:
 def _of_stable_baselines3(file: Path, data: Mapping[str, Any], expected: str) -> dict[str, Any]:
     """The settings in the JSON of Stable-Baselines3, without its pickled objects."""
     module = _object(data.get("policy_class")).get("__module__")
-    if module not in _ALGORITHMS:
+    if not isinstance(module, str) or module not in _ALGORITHMS:
         raise InputError(file, "policy_class", f"a class of {shown(module)}", expected)
     options = _object(data.get("policy_kwargs"))
     if data.get("use_sde"):

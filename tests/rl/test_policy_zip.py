@@ -263,6 +263,7 @@ def test_a_policy_with_other_layers_is_refused(old, tmp_path):
         ("policy_kwargs", {"activation_fn": "<class 'torch.nn.modules.activation.Tanh'>"}),
         ("policy_kwargs", {"features_extractor_class": "<class 'mine.Scaled'>"}),
         ("policy_class", {"__module__": "mine"}),
+        ("policy_class", {"__module__": ["mine"]}),
         ("use_sde", True),
     ):
         file = write(tmp_path / "p.zip", with_setting(content, name, value))
