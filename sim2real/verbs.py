@@ -98,7 +98,7 @@ def identify(
     """
     from tqdm import tqdm
 
-    from sim2real.arm.arm_loads import identify_arm
+    from sim2real.arm.identify_arm import identify_arm
     from sim2real.identification.identify import identify as identify_servos
 
     check_positive("identify", "effort", effort)

@@ -36,7 +36,7 @@ ONLY_IN = {
     "gymnasium": ("rl/",),
     "ray": ("sim2real/executor/",),
     "mujoco": ("sim2real/exporters/mujoco_bench.py",),
-    "pinocchio": ("sim2real/arm/multibody.py",),
+    "pinocchio": ("sim2real/arm/description.py",),
     "pyarrow": ("sim2real/importers/lerobot.py",),
     "rerun": ("sim2real/viewers/",),
     "mcap": ("sim2real/viewers/",),

@@ -15,8 +15,8 @@ from rl.deploy.policy import Policy, read_npz
 from sim2real.arrays import Array
 from sim2real.commands.command import numbers
 from sim2real.errors import InputError
+from sim2real.hardware.radio import shared_key
 from sim2real.hardware.recorder import interruption
-from sim2real.hardware.transport import shared_key
 from sim2real.output import check_writable, provenance
 from sim2real.recording import POSE, Recording, write_recording
 from sim2real.robot import Robot, read_robot

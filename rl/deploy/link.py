@@ -21,7 +21,7 @@ has received no set-points for ``SILENCE_S``; it then moves to its rest angles a
 effect. It limits angles to those of its joints.
 
 **Key.** Where both ends share a key, 16 bytes follow each JSON object, see
-``sim2real.hardware.transport``, and datagrams without them are ignored.
+``sim2real.hardware.radio``, and datagrams without them are ignored.
 
 Without a key, whoever can read the traffic and send from the computer's address can move the robot:
 the network must be trusted. With a key they cannot, and cannot replay an earlier session, but they
@@ -47,7 +47,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.hardware.transport import opened, sealed, unsealed
+from sim2real.hardware.radio import opened, sealed, unsealed
 
 SILENCE_S = 0.5
 """Time without a datagram after which either side regards the connection as lost."""

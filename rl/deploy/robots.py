@@ -30,9 +30,9 @@ from rl.deploy.link import (
 from rl.observer import CONTROL_S
 from sim2real.arrays import Array
 from sim2real.hardware.mounting import Mounting
+from sim2real.hardware.radio import opened
 from sim2real.hardware.recorder import approach
 from sim2real.hardware.servo_bus import Stopped, reason
-from sim2real.hardware.transport import opened
 
 if TYPE_CHECKING:
     from sim.twin.twin import Twin

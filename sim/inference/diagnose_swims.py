@@ -14,18 +14,12 @@ import numpy as np
 from sim.inference.coordinates import SERVOS, Coordinates, Name, Names, signals_at
 from sim.inference.in_water import resimulated, robot_in_water, water_of
 from sim.inference.law_error import IN_WATER, LAW_ERROR, LawError, learned, read_law_error
-from sim.inference.searched import (
-    HELD_OUT,
-    SHAPES,
-    Searched,
-    located,
-    residuals,
-    searched,
-    windows_of,
-)
+from sim.inference.located import located, residuals, windows_of
+from sim.inference.searched import HELD_OUT, Searched, searched
 from sim.inference.swim_decision import Decided, Named, Numbers, decide
 from sim.inference.swim_problem import Fit, SwimProblem
 from sim.inference.swims import FLUID_THREADS, Swim, SwimSimulator, signals_of_robot, swim_of
+from sim.inference.unlisted import SHAPES
 from sim.robot.swimmer import CONTROL_S
 from sim2real.arrays import Array
 from sim2real.body import body_effect, material_note

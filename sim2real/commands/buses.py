@@ -11,10 +11,10 @@ from tqdm import tqdm
 
 from sim2real.errors import InputError, one_of
 from sim2real.hardware.buses import Bus, bus_class, connection, ids_of
+from sim2real.hardware.radio import shared_key
 from sim2real.hardware.recorder import interruption, priority
 from sim2real.hardware.registers import model_named, servo_models
 from sim2real.hardware.servo_bus import Found
-from sim2real.hardware.transport import shared_key
 from sim2real.hardware.virtual_bus import Law, VirtualBus, VirtualServo, serve_terminal, serve_udp
 from sim2real.hardware.virtual_servos import VirtualDynamixel, VirtualFeetech, VirtualLx
 from sim2real.model import read_model

@@ -207,7 +207,7 @@ COMMANDS = {
         "steps --robot robot.toml --port /dev/ttyUSB0 --ids 1,2,3 --out steps.csv",
     ),
     "bench": Command(
-        f"{_RECORDS}:bench",
+        "sim2real.commands.bench:bench",
         [_PORT.format("!"), _BUS, _BENCH, _DRIVEN],
         "--bus feetech --port /dev/ttyUSB0 --ids 1 --mass 0.1 --arm 0.12",
     ),

@@ -14,7 +14,7 @@ import numpy as np
 
 from sim2real.errors import InputError
 from sim2real.hardware.frames import FrameDecoder, Instruction, Packet, Protocol
-from sim2real.hardware.transport import LARGEST, VirtualRadio, opened
+from sim2real.hardware.radio import LARGEST, VirtualRadio, opened
 
 QUIET_S = 0.005
 """Silence after which an incomplete packet is discarded."""

@@ -16,16 +16,10 @@ from sim2real.hardware.buses import ids_of
 from sim2real.hardware.frames import DYNAMIXEL, FEETECH, LX, FrameDecoder, Packet
 from sim2real.hardware.lx import LxBus, LxCommand, load, move, number
 from sim2real.hardware.mounting import places
+from sim2real.hardware.radio import Datagram, answer, read_answer, read_request, request
 from sim2real.hardware.recorder import mounted
 from sim2real.hardware.registers import LAYOUTS, Register
-from sim2real.hardware.transport import (
-    Datagram,
-    answer,
-    open_transport,
-    read_answer,
-    read_request,
-    request,
-)
+from sim2real.hardware.transport import open_transport
 from sim2real.hardware.virtual_bus import Law, VirtualBus
 from sim2real.hardware.virtual_servos import VirtualLx
 from sim2real.robot import read_robot

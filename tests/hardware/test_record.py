@@ -140,7 +140,7 @@ def test_the_load_is_asked_for_on_a_terminal_only(tmp_path, capsys, monkeypatch)
     monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
     assert bench("udp://127.0.0.1:9", tmp_path) == 2
     assert "--mass and --arm, --inertia or --unknown-load" in capsys.readouterr().err
-    from sim2real.commands.record import _asked, load_of
+    from sim2real.commands.bench import _asked, load_of
 
     answers = iter(["heavy", "0.1", "", "0.12"])
     monkeypatch.setattr("builtins.input", lambda question: next(answers))

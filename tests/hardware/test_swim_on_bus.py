@@ -14,7 +14,7 @@ from rl.deploy.link import Telemetry, telemetry_bytes
 from sim2real.cli import main
 from sim2real.hardware.frames import LX, Packet
 from sim2real.hardware.lx import LxBus, LxCommand
-from sim2real.hardware.transport import (
+from sim2real.hardware.radio import (
     AHEAD,
     HALF,
     PATIENCE,
@@ -22,10 +22,10 @@ from sim2real.hardware.transport import (
     UdpTransport,
     VirtualRadio,
     answer,
-    open_transport,
     read_answer,
     request,
 )
+from sim2real.hardware.transport import open_transport
 from sim2real.recording import read_recording
 from tests.rl.test_swim import policy_file
 

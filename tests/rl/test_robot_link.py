@@ -13,7 +13,7 @@ from rl.deploy import link as protocol
 from rl.deploy.link import Link, SetPoints, Telemetry, set_point_bytes, telemetry_bytes
 from rl.deploy.robots import Poses, Received, served
 from sim2real.errors import InputError
-from sim2real.hardware.transport import opened, sealed, shared_key, unsealed
+from sim2real.hardware.radio import opened, sealed, shared_key, unsealed
 
 KEY = b"a key of the swimming pool"
 LIMITS = np.array([[-0.5, 0.4], [-0.5, 0.4]])

@@ -9,7 +9,7 @@ from test_diagnose_swims import OF_THIS_LAW, only, swum
 
 from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.in_water import differs
-from sim.inference.searched import located, windows_of
+from sim.inference.located import located, windows_of
 from sim.inference.signal_error import Blocks
 from sim.inference.swims import PoseNoise, by_followed_twin, pose_noise, with_values
 from sim2real.body import observed
